@@ -1,11 +1,32 @@
+"""Identification of robot dynamics with context-sensitive linear combiners (CSLC), in JAX.
+
+A robot's inverse dynamics are derived exactly, as a network that is linear in its coefficients.
+The coefficients are identified from recordings of motion and torque.
+
+     robot file --> manipulator --> derivation --> network ----+
+                                                               |
+     log ---------> recordings (smoothing, masks) --> patterns +--> estimators --> report
+                                                                                     |
+          export, control, payload, excitation (the next motion) <-------------------+
+
+A name below, or a package, is loaded when it is first used: `import jaxcslc` alone is quick.
+Start with `load_robot`, `derive`, `load_recording` and `identify`.
+"""
+
 from typing import TYPE_CHECKING
 
 
-# The public face. A name loads its package on first use, and so does a package, as in `jc.motion`:
-# `import jaxcslc` alone takes no time, and nobody waits for packages that they do not use.
+# The public face. A name loads its package on first use, and so does a package, as in
+# `jc.recordings`: `import jaxcslc` alone takes no time, and nobody waits for packages that they do
+# not use.
 if TYPE_CHECKING:
-    from . import adaptive as adaptive, training as training
+    from . import training as training
     from ._environment import enable_x64 as enable_x64
+    from .bodies import (
+        PhysicalParameters as PhysicalParameters,
+        physical_parameters as physical_parameters,
+    )
+    from .checks import DataCheck as DataCheck, Finding as Finding, check as check
     from .derivation import Coefficient as Coefficient
     from .export import (
         CCode as CCode,
@@ -13,38 +34,24 @@ if TYPE_CHECKING:
         c_code as c_code,
         write_robot as write_robot,
     )
-    from .identification import (
-        RESULTS as RESULTS,
-        Candidates as Candidates,
-        DataCheck as DataCheck,
-        DirectDynamics as DirectDynamics,
-        ErrorTable as ErrorTable,
-        Finding as Finding,
-        Identification as Identification,
-        InstrumentalVariables as InstrumentalVariables,
-        LeastSquares as LeastSquares,
-        LikelihoodFit as LikelihoodFit,
-        MaximumLikelihood as MaximumLikelihood,
-        PayloadFit as PayloadFit,
-        PayloadReport as PayloadReport,
-        PhysicalParameters as PhysicalParameters,
-        Report as Report,
-        Selection as Selection,
-        Settings as Settings,
+    from .friction import (
         SlopeFit as SlopeFit,
-        check as check,
-        choose_settings as choose_settings,
-        compare as compare,
-        fit_payload as fit_payload,
         fit_slopes as fit_slopes,
-        identify as identify,
-        identify_payload as identify_payload,
-        load_report as load_report,
-        load_settings as load_settings,
-        physical_parameters as physical_parameters,
         regress_friction as regress_friction,
+    )
+    from .identification import identify as identify
+    from .instruments import (
+        DirectDynamics as DirectDynamics,
+        InstrumentalVariables as InstrumentalVariables,
+    )
+    from .least_squares import (
+        RESULTS as RESULTS,
+        Identification as Identification,
+        LeastSquares as LeastSquares,
+        Settings as Settings,
         reidentify as reidentify,
     )
+    from .likelihood import LikelihoodFit as LikelihoodFit, MaximumLikelihood as MaximumLikelihood
     from .manipulator import (
         LinkInertia as LinkInertia,
         LinkParameters as LinkParameters,
@@ -55,7 +62,14 @@ if TYPE_CHECKING:
         puma560 as puma560,
         tx40 as tx40,
     )
-    from .motion import (
+    from .network import CSLC as CSLC, derive as derive
+    from .payload import (
+        PayloadFit as PayloadFit,
+        PayloadReport as PayloadReport,
+        fit_payload as fit_payload,
+        identify_payload as identify_payload,
+    )
+    from .recordings import (
         AveragedSplines as AveragedSplines,
         Butterworth as Butterworth,
         Patterns as Patterns,
@@ -67,7 +81,18 @@ if TYPE_CHECKING:
         prepare as prepare,
         save_recording as save_recording,
     )
-    from .network import CSLC as CSLC, derive as derive
+    from .report import (
+        ErrorTable as ErrorTable,
+        Report as Report,
+        compare as compare,
+        load_report as load_report,
+        load_settings as load_settings,
+    )
+    from .selection import (
+        Candidates as Candidates,
+        Selection as Selection,
+        choose_settings as choose_settings,
+    )
     from .systems import (
         System as System,
         SystemRecording as SystemRecording,

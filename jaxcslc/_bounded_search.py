@@ -1,3 +1,5 @@
+"""Minimum of many functions of one variable at once, each within bounds."""
+
 from collections.abc import Callable
 
 import numpy as np
@@ -19,7 +21,7 @@ def bounded_minima(
     high: Lanes,
     tolerance: Lanes,
 ) -> Lanes:
-    """Where functions of one variable are least within bounds: parabolas and golden sections.
+    """Find minima of functions of one variable within bounds, by parabolas and golden sections.
 
     Brent's method (Algorithms for Minimization without Derivatives, 1973, chapter 5) with the steps
     of `scipy.optimize.minimize_scalar(method="bounded")`, for many functions at once: a call for

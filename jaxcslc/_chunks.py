@@ -1,3 +1,8 @@
+"""Threads over consecutive chunks of rows, for functions that release the interpreter's lock.
+
+Read with `_processes`, which is for work that holds the lock.
+"""
+
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -11,7 +16,7 @@ Result = TypeVar("Result")
 def over_chunks(
     function: Callable[[int, int], Result], rows: int, most: int, align: int = 1
 ) -> list[Result]:
-    """What a function makes of consecutive chunks of rows, a thread for each core.
+    """Return the results of a function for consecutive chunks of rows, with one thread per core.
 
     The function leaves the interpreter's lock alone most of the time, as C code, BLAS and NumPy's
     functions of large arrays do. Chunks are the same on any number of cores, so that sums of their

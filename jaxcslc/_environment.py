@@ -1,3 +1,9 @@
+"""Libraries, devices and precision of the process: optional extras, NumPy or JAX, cores, float64.
+
+`require` imports what an extra installs, and names the extra if it is missing. The other
+functions say which array library, platform and precision a computation has.
+"""
+
 import importlib
 import os
 from types import ModuleType
@@ -46,7 +52,7 @@ def require(module: str, extra: str) -> ModuleType:
 
 
 def array_namespace(*arrays: Any) -> ModuleType:
-    """NumPy if all are its arrays or numbers, JAX's NumPy otherwise.
+    """Return NumPy if all arguments are its arrays or numbers, and JAX's NumPy otherwise.
 
     One formula, written with the functions of this namespace, computes small sets on the host,
     where nothing is compiled, and large ones in a program that JAX compiles.
@@ -59,13 +65,15 @@ def array_namespace(*arrays: Any) -> ModuleType:
 
 
 def core_count() -> int:
-    """How many cores this process may use."""
+    """Return the number of cores that this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)  # not on macOS and Windows
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
 def as_jax(x: Any) -> Any:
-    """Arrays of JAX's; of NumPy's without compiling anything, as `jnp.asarray` does.
+    """Convert an array, a number or a tree of them to JAX arrays.
+
+    Converting NumPy arrays compiles nothing, whereas `jnp.asarray` does.
 
     - `x`: an array, a number, or a tree of them.
     """
@@ -78,7 +86,7 @@ def as_jax(x: Any) -> Any:
 
 
 def platform_of(*arrays: Any) -> str:
-    """What JAX computes with arrays on: `"cpu"`, `"gpu"` or another accelerator.
+    """Return the platform on which JAX computes with these arrays, such as `"cpu"` or `"gpu"`.
 
     The default device if they are NumPy's, or traced.
 

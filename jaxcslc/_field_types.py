@@ -1,3 +1,8 @@
+"""Check of a file's entries against the field annotations of the class that they make.
+
+Used for settings and other documents that are read from JSON or TOML.
+"""
+
 import types
 from collections.abc import Mapping
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -23,7 +28,7 @@ def check_field_types(kind: type, values: Mapping[str, Any], prefix: str) -> Non
 
     - `ValueError`: naming the entry, what was expected and what it is.
 
-    >>> from jaxcslc.motion import Preparation
+    >>> from jaxcslc.recordings import Preparation
     >>> check_field_types(Preparation, {"trim": "x"}, "settings")
     Traceback (most recent call last):
     ValueError: settings, trim: expected a whole number or nothing, got 'x'

@@ -1,3 +1,11 @@
+"""Forked processes that compute next to this one, where a program allows them.
+
+`processes_beside` allows them within a `with`, and `can_fork` says whether forking is possible.
+`ForkedFunction` is the mechanism. `function_beside`, `prepared_beside` and `computed_beside` run
+one computation, at once in this process where forking is not possible. `SharedMap` divides many
+arguments among processes. For work that releases the interpreter's lock, see `_chunks`.
+"""
+
 import contextlib
 import os
 import pickle
@@ -23,7 +31,7 @@ _ALLOWED: ContextVar[bool] = ContextVar("processes beside this one", default=Fal
 
 @contextlib.contextmanager
 def processes_beside() -> Generator[None]:
-    """Allows processes beside this one, forked from it, inside of the `with`.
+    """Allow processes beside this one, forked from it, inside of the `with`.
 
     What takes less than some 50 ms at a time gains nothing by threads, which wait for the
     interpreter. A program allows it that knows what else goes on in its process: a library does
@@ -37,12 +45,12 @@ def processes_beside() -> Generator[None]:
 
 
 def allows_processes() -> bool:
-    """Whether `processes_beside` allows them; in this process, not in one beside another."""
+    """Return whether `processes_beside` allows processes; False within such a process."""
     return _ALLOWED.get()
 
 
 def can_fork() -> bool:
-    """Whether processes beside this one are allowed, possible and worth it.
+    """Return whether further processes are allowed, possible and worth starting.
 
     A forked process would have the locks of XLA's threads and not the threads. Those of BLAS, of
     Arrow and of memory allocators are made for it.
@@ -83,7 +91,7 @@ class ForkedFunction(Generic[Argument, Result]):
         _DESCRIPTORS.update((to_child, from_child))
 
     def send(self, argument: Argument) -> None:
-        """Computes for an argument; only after the result for the one before was received."""
+        """Compute for an argument; only after the result for the one before was received."""
         with contextlib.suppress(BrokenPipeError):  # receiving says so
             pickle.dump(argument, self._arguments, pickle.HIGHEST_PROTOCOL)
             self._arguments.flush()
@@ -105,11 +113,11 @@ class ForkedFunction(Generic[Argument, Result]):
         return result
 
     def fileno(self) -> int:
-        """Becomes readable when there is a result."""
+        """Return the file descriptor that becomes readable when there is a result."""
         return self._results.fileno()
 
     def close(self) -> None:
-        """Ends the process."""
+        """End the process."""
         if not self._process:
             return
         _DESCRIPTORS.difference_update((self._arguments.fileno(), self._results.fileno()))
@@ -127,7 +135,7 @@ class ForkedFunction(Generic[Argument, Result]):
 
 
 def _serve(prepare: Callable[[], Callable[[Any], Any]], arguments: int, results: int) -> None:
-    """What a forked process does, until nobody sends any more; does not return."""
+    """Run the loop of a forked process until nobody sends arguments. It does not return."""
     _ALLOWED.set(False)
     try:
         function = _prepared(prepare)
@@ -263,7 +271,7 @@ class SharedMap(Generic[Argument, Result]):
         return [results[index] for index in range(len(listed))]
 
     def close(self) -> None:
-        """Ends the processes."""
+        """End the processes."""
         for forked in self._forked:
             forked.close()
 
@@ -277,7 +285,7 @@ class SharedMap(Generic[Argument, Result]):
 def _ready(
     forked: Sequence[ForkedFunction[Any, Any]], *, wait: bool
 ) -> list[ForkedFunction[Any, Any]]:
-    """Those that have a result; waits for one if there is nothing else to do."""
+    """Return the processes that have a result. Wait for one if there is nothing else to do."""
     if not forked:
         return []
     return select.select(forked, [], [], None if wait else 0.0)[0]

@@ -1,3 +1,8 @@
+"""Rank, pseudo-inverse and null vectors of matrices, by one tolerance for all least-squares fits.
+
+Columns are scaled to unit length first, so that no result depends on units.
+"""
+
 from typing import Any
 
 import numpy as np

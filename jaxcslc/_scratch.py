@@ -1,3 +1,8 @@
+"""Scratch folders and files that replace their target only once they are whole.
+
+`unfinished` writes one file and `scratch_folder` several. Both remove what killed processes left.
+"""
+
 import contextlib
 import glob
 import os
@@ -39,7 +44,7 @@ def unfinished(path: Path, *, clean: bool = True) -> Generator[Path]:
 
 
 def remove_left_behind(parent: Path, name: str | None = None) -> None:
-    """Removes scratch folders of processes of this machine that are no more.
+    """Remove scratch folders of processes of this machine that are no more.
 
     **Arguments**
 

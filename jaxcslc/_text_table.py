@@ -1,3 +1,5 @@
+"""Plain-text tables with aligned columns, for reports in a terminal."""
+
 from collections.abc import Sequence
 
 

@@ -1,3 +1,5 @@
+"""Reader of TOML files, with one-line errors of the caller's class."""
+
 import os
 import tomllib
 from pathlib import Path
@@ -7,7 +9,7 @@ from typing import Any
 def toml_document(
     path: str | os.PathLike[str], what: str, error: type[ValueError]
 ) -> dict[str, Any]:
-    """What a TOML file holds.
+    """Return the content of a TOML file.
 
     **Arguments**
 

@@ -3,67 +3,64 @@ from jaxcslc._environment import require
 
 require("mujoco", "sim")
 
-from .engine import (
-    Plant as Plant,
-    SimulatedRecording as SimulatedRecording,
-    SimulationError as SimulationError,
-    Truth as Truth,
-    mjcf as mjcf,
-    simulate as simulate,
-)
-from .machine import (
-    DISTURBANCES as DISTURBANCES,
-    Drives as Drives,
-    Encoders as Encoders,
-    Fault as Fault,
-    Friction as Friction,
-    Load as Load,
-    Machine as Machine,
+from sim.engine._mjcf import mjcf as mjcf
+from sim.engine._plant import Plant as Plant
+from sim.engine._simulate import SimulationError as SimulationError, simulate as simulate
+from sim.engine._truth import SimulatedRecording as SimulatedRecording, Truth as Truth
+from sim.machine._bodies import (
     MachineError as MachineError,
-    ThesisCoefficients as ThesisCoefficients,
-    Transmission as Transmission,
-    carrying as carrying,
-    disturbed as disturbed,
-    nearest_links as nearest_links,
     possible_links as possible_links,
-    puma560 as puma560,
-    puma_a as puma_a,
-    puma_b as puma_b,
-    specimen as specimen,
-    thesis_coefficients as thesis_coefficients,
     tilted_links as tilted_links,
+)
+from sim.machine._disturbances import (
+    DISTURBANCES as DISTURBANCES,
+    disturbed as disturbed,
     undisturbed as undisturbed,
 )
-from .recording import (
-    ClosedLoop as ClosedLoop,
-    Job as Job,
-    MaskQuality as MaskQuality,
-    MotorLinearity as MotorLinearity,
-    Scene as Scene,
-    close_loop as close_loop,
-    film as film,
-    mask_quality as mask_quality,
-    motor_linearity as motor_linearity,
-    record as record,
-    record_each as record_each,
+from sim.machine._drivetrain import (
+    Drives as Drives,
+    Encoders as Encoders,
+    Transmission as Transmission,
 )
-from .trajectory import (
-    FLANGE as FLANGE,
-    AbbreviatedGravity as AbbreviatedGravity,
+from sim.machine._faults import Fault as Fault
+from sim.machine._friction import Friction as Friction
+from sim.machine._loads import Load as Load, carrying as carrying
+from sim.machine._machine import Machine as Machine
+from sim.machine._nearest_links import nearest_links as nearest_links
+from sim.machine._puma560 import puma560 as puma560, specimen as specimen
+from sim.machine._thesis_machines import (
+    ThesisCoefficients as ThesisCoefficients,
+    puma_a as puma_a,
+    puma_b as puma_b,
+    thesis_coefficients as thesis_coefficients,
+)
+from sim.recording._closed_loop import ClosedLoop as ClosedLoop, close_loop as close_loop
+from sim.recording._film import film as film
+from sim.recording._linearity import (
+    MotorLinearity as MotorLinearity,
+    motor_linearity as motor_linearity,
+)
+from sim.recording._mask_quality import MaskQuality as MaskQuality, mask_quality as mask_quality
+from sim.recording._record import Job as Job, record as record, record_each as record_each
+from sim.recording._scene import Scene as Scene
+from sim.trajectory._abbreviated_gravity import AbbreviatedGravity as AbbreviatedGravity
+from sim.trajectory._kinematics import Hand as Hand
+from sim.trajectory._motions import circle as circle, go_to as go_to
+from sim.trajectory._paths import (
     AbstractPath as AbstractPath,
-    Hand as Hand,
-    HandRepulsion as HandRepulsion,
     MinimumJerk as MinimumJerk,
     Oscillation as Oscillation,
-    Repulsion as Repulsion,
     SampledPath as SampledPath,
-    Trajectory as Trajectory,
     ViaPoints as ViaPoints,
-    adjusted_training as adjusted_training,
-    circle as circle,
-    comparison as comparison,
-    go_to as go_to,
     minimum_jerk as minimum_jerk,
+)
+from sim.trajectory._repulsion import HandRepulsion as HandRepulsion, Repulsion as Repulsion
+from sim.trajectory._trajectories import (
+    FLANGE as FLANGE,
+    Trajectory as Trajectory,
+    adjusted_training as adjusted_training,
+    comparison as comparison,
     training as training,
 )
-from .ultrasound import Echoes as Echoes, Sonar as Sonar, ultrasound as ultrasound
+from sim.ultrasound._echoes import Echoes as Echoes, ultrasound as ultrasound
+from sim.ultrasound._sonar import Sonar as Sonar

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from jaxtyping import TypeCheckError, install_import_hook
 
-from jaxcslc.inertia import pseudo_inertia
-from sim import Oscillation
+from jaxcslc.bodies import pseudo_inertia
+from sim.trajectory._paths import Oscillation
 
 
 def test_a_wrong_shape_is_an_error() -> None:

@@ -11,10 +11,9 @@ from typer.testing import Result
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import compare_reports
 from jaxcslc.manipulator import fixed_together
-
-from .conftest import run
+from jaxcslc.report import compare_reports
+from tests.conftest import run
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from .conftest import run
+from tests.conftest import run
 
 
 def test_derive_prints_the_thesis_counts(tmp_path: Path) -> None:

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-
-from .conftest import run
+from tests.conftest import run
 
 
 ROBOT = """

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.identification import settings_from
+from jaxcslc.least_squares import settings_from
 
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -80,7 +80,7 @@ def test_the_page_of_settings_has_every_entry() -> None:
     for kind in (jc.Preparation, jc.LeastSquares):
         for field in dataclasses.fields(kind):
             assert f"| `{field.name}` |" in text
-    for kind in (jc.AveragedSplines, jc.Butterworth, jc.motion.SavitzkyGolay):
+    for kind in (jc.AveragedSplines, jc.Butterworth, jc.recordings.SavitzkyGolay):
         for field in dataclasses.fields(kind):
             assert f"`{field.name}`" in text
     for name in ("averaged_splines", "butterworth", "savitzky_golay", "central_differences"):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxcslc._rank import null_vectors, numerical_rank, pseudo_inverse
-from jaxcslc.identification.likelihood.band import Spectrum
+from jaxcslc.likelihood import Spectrum
 
 
 @pytest.mark.parametrize("rank", [1, 3, 5])

@@ -1,3 +1,11 @@
+"""The command `jaxcslc`: options, one call of the library, and printed results.
+
+- `_app`: the command line; `_process`: settings of its process.
+- `_check`, `_compare`, `_constants`, `_derive`, `_excite`, `_export`, `_identify`, `_payload`:
+  a command each.
+- `_common` and `*_options`: options and helpers that commands share.
+"""
+
 import sys
 
 
@@ -31,7 +39,10 @@ def _say_interrupted() -> None:
 
 
 def _is_interruption(error: BaseException | None) -> bool:
-    """Whether it is Ctrl-C, of which extensions that are being initialised make an ImportError."""
+    """Return whether an error is Ctrl-C.
+
+    Extensions that are being initialised make an ImportError of it.
+    """
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None

@@ -1,3 +1,5 @@
+"""Command line of all commands, and its run in this process."""
+
 import sys
 import warnings
 from collections.abc import Iterable

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ..identification import check
+from ..checks import check
 from ._common import RobotArgument, one_line_errors, progress, robot_notes
 from ._recording_options import RecordingOptions
 from ._robot_options import Drives, RobotPart

@@ -8,14 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from .._environment import require
-from ..identification import (
-    Settings,
-    choose_settings,
-    fit_fleet_on_cluster,
-    fit_on_cluster,
-)
-from ..identification.report import load_settings
+from ..least_squares import Settings, fit_fleet_on_cluster, fit_on_cluster
 from ..network import CSLC
+from ..report import load_settings
+from ..selection import choose_settings
 from ._identify_options import IdentifyOptions
 from ._recording_options import RecordingOptions
 
@@ -70,7 +66,7 @@ def _settings(
     read: Callable[[Path], Any],
     step: Callable[[str], None],
 ) -> Settings:
-    """Those of a file, or those that cross-validation selects on the first recording."""
+    """Load the settings of a file, or choose them by cross-validation on the first recording."""
     if path is not None:
         return load_settings(path)
     step("choosing settings on the first recording")

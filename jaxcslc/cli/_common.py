@@ -1,3 +1,5 @@
+"""Options and helpers that several commands share: robots, recordings, errors, progress."""
+
 import contextlib
 import shlex
 import sys
@@ -11,8 +13,7 @@ from rich.console import Console
 
 from .._environment import MissingExtraError
 from ..manipulator import Manipulator, RobotError, panda, puma560, tx40
-from ..motion import Recording, RecordingError
-from ..motion.files import load_recording
+from ..recordings import Recording, RecordingError, load_recording
 from ._progress_lines import PASSED, progress_lines
 
 
@@ -92,7 +93,7 @@ def recordings_of(paths: Sequence[Path], read: Callable[[Path], Recording]) -> d
 
 
 def with_notes(text: object, robot: Manipulator, **recordings: Recording | None) -> str:
-    """What a command prints, followed by what was decided in reading its files."""
+    """Return the output of a command, followed by what was decided in reading its files."""
     lines = robot_notes(robot) + [
         f"warning: {name} recording: {note}"
         for name, recording in recordings.items()
@@ -138,7 +139,7 @@ def choice_of(option: str, value: str, choices: tuple[Any, ...]) -> Any:
 
 
 def is_system(name: str) -> bool:
-    """Whether a file describes a system by its equations, and not a robot."""
+    """Return whether a file describes a system by its equations, and not a robot."""
     if name in BUNDLED or Path(name).suffix.lower() != ".toml":
         return False
     try:
@@ -190,7 +191,7 @@ def without_none(**options: object) -> dict[str, object]:
 
 
 def robot_notes(robot: Manipulator) -> list[str]:
-    """What of the robot's file was not taken as it stands, a line each."""
+    """Return notes on what was not taken from the robot's file as it stands, a line each."""
     return [f"note: {note}" for note in robot.notes]
 
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ..identification.report import compare_reports
+from ..report import compare_reports
 from ._common import one_line_errors
 
 

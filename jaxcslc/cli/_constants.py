@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from ..identification import identify_torque_constants
-from ..identification.report import load_settings
+from ..report import load_settings
 from ._common import (
     ColumnsOption,
     RobotArgument,

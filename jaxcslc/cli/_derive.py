@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ..identification.report import DerivationReport, check_output_folder
+from ..report import DerivationReport, check_output_folder
 from ._common import (
     CommandContext,
     LengthsOption,

@@ -21,11 +21,12 @@ from ..excitation import (
     save_design,
     wanted_indices,
 )
-from ..identification import Identification, Settings, identify
-from ..identification.report import check_output_folder, load_report
+from ..identification import identify
+from ..least_squares import Identification, Settings
 from ..manipulator import Manipulator
-from ..motion import Sampling
 from ..network import CSLC
+from ..recordings import Sampling
+from ..report import check_output_folder, load_report
 from ._common import (
     ColumnsOption,
     CommandContext,
@@ -108,7 +109,7 @@ def _check_options(context: CommandContext, options: MotionOptions) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class _Before:
-    """What earlier recordings say."""
+    """Knowledge from earlier recordings."""
 
     network: CSLC
     knowledge: Knowledge
@@ -117,11 +118,11 @@ class _Before:
     cutoff: float | None = None  # of the low pass of the fit's equations [Hz]
 
     def rate(self, default: float) -> float:
-        """Of samples [Hz]."""
+        """Return the sampling rate [Hz]."""
         return default if self.sampling is None else 1.0 / self.sampling.interval
 
     def carrying(self, mass: float) -> "_Before":
-        """The same arm with a payload of about that mass [kg]."""
+        """Return the knowledge of the arm with a payload of about that mass [kg]."""
         network = self.network.with_payload()
         knowledge = self.knowledge.with_payload(network, mass)
         return dataclasses.replace(self, network=network, knowledge=knowledge)
@@ -156,7 +157,7 @@ def _before(
 def _wanted(
     before: _Before, wanted: str | None, payload: float | None
 ) -> tuple[_Before, list[str] | None]:
-    """What is known, with a payload if one is carried; names of coefficients that matter."""
+    """Return what is known, with a payload if one is carried, and the coefficients that matter."""
     names = None if wanted is None else names_in(wanted)
     if payload is None:
         return before, names
@@ -164,7 +165,7 @@ def _wanted(
 
 
 def _cutoff(settings: Settings | None) -> float | None:
-    """Of the low pass of a fit's equations; None without one."""
+    """Return the cut-off of the low pass of a fit's equations; None without one."""
     return None if settings is None else settings.solver.cutoff
 
 
@@ -193,9 +194,12 @@ def _noise(before: _Before, limits: Limits, stated: dict[str, Any]) -> Noise:
 
 
 def _offset(before: _Before, torque: tuple[float, ...]) -> tuple[float, ...]:
-    """What differs between directions is unknown before a first recording, and never nothing; but
-    where the model has a coefficient for it, it is no error: no motion tells it from the
-    coefficient, and a criterion that counts both sees less of the others."""
+    """Return the assumed torque that differs between directions, per joint.
+
+    It is unknown before a first recording, and never nothing. Where the model has a coefficient for
+    it, it is no error. No motion tells it from the coefficient, and a criterion that counts both
+    sees less of the others.
+    """
     noise = torque if len(torque) > 1 else torque * before.network.joint_count
     return tuple(
         0.0 if _CONSTANTS & set(kinds) else value
@@ -204,7 +208,7 @@ def _offset(before: _Before, torque: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def _reached(before: _Before, names: list[str] | None, reach: float | None) -> str | None:
-    """That nothing need be recorded, if so."""
+    """Return the message that nothing need be recorded, if so."""
     if reach is None:
         return None
     if not reach > 0.0:

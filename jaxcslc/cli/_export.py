@@ -7,14 +7,8 @@ from typing import Annotated
 import typer
 
 from ..export import c_code, export_robot, write_c
-from ..identification.report import Report, load_report
-from ._common import (
-    BUNDLED,
-    RobotArgument,
-    one_line_errors,
-    progress,
-    with_notes,
-)
+from ..report import Report, load_report
+from ._common import BUNDLED, RobotArgument, one_line_errors, progress, with_notes
 from ._robot_options import RobotPart
 from ._spread import spread
 

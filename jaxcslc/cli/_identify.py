@@ -8,22 +8,12 @@ from typing import TYPE_CHECKING, Any, get_args
 import typer
 
 from .._processes import processes_beside
-from ..identification import (
-    ESTIMATORS,
-    MaximumLikelihood,
-    Report,
-    identify,
-    load_prior,
-)
-from ..identification.possible import Choice
-from ..identification.report import (
-    check_output_folder,
-    load_report,
-    load_settings,
-    replaced_files,
-)
+from ..bodies import Choice, load_prior
+from ..identification import ESTIMATORS, identify
+from ..likelihood import MaximumLikelihood
 from ..manipulator import Manipulator
 from ..network import CSLC
+from ..report import Report, check_output_folder, load_report, load_settings, replaced_files
 from ._cluster import identified_on_cluster
 from ._common import (
     CommandContext,
@@ -48,6 +38,7 @@ from ._spread import spread
 
 if TYPE_CHECKING:
     from ..systems import SystemReport
+
 
 # What `identify` does on a cluster besides fitting is to read, prepare and settings.
 _OF_CLUSTER = {
@@ -155,11 +146,7 @@ def _identified_system(
     name: str, options: IdentifyOptions, step: Callable[[str], None]
 ) -> "SystemReport":
     """The report of another system."""
-    from ..systems import (  # robots need not wait for it
-        identify_system,
-        load_system,
-        load_system_recording,
-    )
+    from ..systems import identify_system, load_system, load_system_recording
 
     if len(options.train) > 1:
         raise ValueError(f"several recordings are of robots; {name} is another system")

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from ..identification import identify_payload
-from ..identification.report import check_output_folder, load_report, load_settings
+from ..payload import identify_payload
+from ..report import check_output_folder, load_report, load_settings
 from ._common import (
     ColumnsOption,
     CommandContext,

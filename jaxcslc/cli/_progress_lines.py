@@ -1,3 +1,5 @@
+"""Lines of progress on standard error."""
+
 import contextlib
 import time
 from collections.abc import Callable, Generator, Mapping
@@ -83,5 +85,5 @@ def progress_lines(
 
 
 def _rounded(seconds: float) -> str:
-    """To two digits at most."""
+    """Round seconds to two digits at most."""
     return f"{float(f'{seconds:.1g}' if seconds < 10 else f'{seconds:.2g}'):.0f}"

@@ -8,15 +8,15 @@ from typing import Annotated
 
 import typer
 
-from ..identification import without_outliers
+from ..checks import without_outliers
 from ..manipulator import Manipulator
-from ..motion import Recording, fresh_rows, restore_clock, without_stale_rows
+from ..recordings import Recording, fresh_rows, restore_clock, without_stale_rows
 from ._common import ColumnsOption, recording_of
 
 
 @dataclasses.dataclass(frozen=True)
 class RecordingOptions:
-    """What to do with a recording once it is read, in this order.
+    """Treatment of a recording once it is read, in this order.
 
     **Attributes**
 

@@ -1,14 +1,11 @@
-"""Generated code: a graph of expressions, and what computes its values.
+"""Generated code: one graph of expressions, evaluated by NumPy, JAX, C or CUDA.
 
-```
- functions of JAX ──traced──► Expressions ──► array_outputs     arrays of NumPy's or JAX's
- dynamics, laws ────────────►  (Value)    ──► Program           blocks of NumPy's arrays
-                                          ──► CompiledProgram   the same by C, once it is compiled
-                                          ──► KernelText        statements of C and CUDA C
-                                                                  └─► CFunction, Kernel
-```
+    arithmetic ──► _expressions ──┬──► _program (NumPy) ──► _compiled_program (C, once compiled)
+    JAX function ──► _traced ─────┤──► _arrays (NumPy, JAX)
+                                  └──► _kernel_text ──► _c_library (C), _cuda (NVIDIA GPU)
 
-It knows nothing of robots, and imports no other package of the project.
+`_derivative` adds derivatives to a graph, `_sines_text` is C text of sines and cosines, and
+`_compilation` splits compiled functions.
 """
 
 from ._arrays import (
@@ -31,7 +28,7 @@ from ._c_text import (
     block_text as block_text,
     called_functions as called_functions,
 )
-from ._compilation import by_platform as by_platform, in_blocks as in_blocks, in_stage as in_stage
+from ._compilation import by_platform as by_platform, in_blocks as in_blocks
 from ._cuda import Kernel as Kernel, assembly as assembly, kernels_run as kernels_run
 from ._expressions import (
     Expressions as Expressions,

@@ -257,7 +257,7 @@ def _compile(source: str, command: list[str], library: Path) -> bool:
 
 @lru_cache(maxsize=1)
 def _processor() -> str:
-    """What this machine's processor is and can do."""
+    """Return a description of this machine's processor and its abilities."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:  # not Linux: one machine's folder

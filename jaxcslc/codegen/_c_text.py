@@ -63,7 +63,7 @@ class KernelText:
         return lines
 
     def statements_in_turn(self, outputs: Iterable[tuple[Value, str]]) -> list[str]:
-        """The same in the order of the outputs: what one needs, its store, what the next needs."""
+        """Return statements in the order of the outputs: what one needs, then its store."""
         lines: list[str] = []
         names: dict[int, _Written] = {}
         for value, store in outputs:
@@ -95,8 +95,10 @@ class KernelText:
         return lines + [store.format(written[value.index].text) for value, store in outputs]
 
     def needed(self, outputs: Iterable[Value], known: Container[int] = ()) -> list[int]:
-        """Everything to compute for the outputs, in order; not what only an input needs, nor what
-        is known already."""
+        """List the operations to compute for the outputs, in order.
+
+        Those that only an input needs, or that are known already, are left out.
+        """
         needed: set[int] = set()
         todo = [output.index for output in outputs]
         while todo:

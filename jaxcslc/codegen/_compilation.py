@@ -20,7 +20,7 @@ _BLOCK = 512
 
 
 def by_platform(*arrays: Any, on_cpu: Callable[..., Any], elsewhere: Callable[..., Any]) -> Any:
-    """One of two ways to compute the same: on a processor, or on an accelerator.
+    """Compute by one of two functions: on a processor, or on an accelerator.
 
     By the device of the arrays or, where JAX traces them, by what it compiles for. Where there is
     nothing but a processor the other way is not traced.

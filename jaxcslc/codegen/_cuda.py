@@ -117,7 +117,7 @@ extern "C" __global__ void probe(const double* x, double* y)
 
 @lru_cache(maxsize=1)
 def kernels_run() -> bool:
-    """Whether kernels of ours compile and run on JAX's default device: on an NVIDIA GPU.
+    """Return whether kernels of ours compile and run on JAX's default device: on an NVIDIA GPU.
 
     Of compute capability 8.0 or more, which have matrix units for float64.
     """

@@ -6,7 +6,9 @@ from typing import NamedTuple, TypeAlias, no_type_check
 
 
 class Operation(NamedTuple):
-    """One value: `name` of what is done, to which values before it.
+    """Operation on earlier values; its result is one value.
+
+    `name` says what is done, `arguments` to which values before it.
 
     `number` is a constant's value; `text` what an input is called.
     """
@@ -57,11 +59,11 @@ class Expressions:
         return self._value(Operation(name, (x.index,)))
 
     def equal(self, x: "Value", y: "Value") -> "Value":
-        """One where two values are equal, and zero elsewhere."""
+        """Return a value that is 1 where two values are equal, and 0 elsewhere."""
         return self._binary("equal", x, y)
 
     def choice(self, condition: "Value", otherwise: "Value", then: "Value") -> "Value":
-        """One of two values: `then` where the condition is not zero."""
+        """Return one of two values: `then` where the condition is not zero."""
         return self._value(Operation("choose", (condition.index, otherwise.index, then.index)))
 
     def _value(self, operation: Operation) -> "Value":
@@ -77,7 +79,7 @@ class Expressions:
         return x if isinstance(x, Value) else self.constant(float(x))
 
     def needed(self, outputs: Iterable["Value"]) -> list[int]:
-        """Everything that the outputs are computed from, each after what it needs."""
+        """List the indices of all values that outputs depend on, each after its arguments."""
         needed: set[int] = set()
         todo = [output.index for output in outputs]
         while todo:
@@ -113,11 +115,11 @@ class Value:
 
     @property
     def number(self) -> float | None:
-        """Of a constant that is not negative."""
+        """Number of a constant that is not negative; None for other values."""
         return self.operation.number if self.operation.name == "constant" else None
 
     def signed(self) -> tuple[bool, "Value"]:
-        """Whether it is the negative of something, and of what."""
+        """Return whether the value is the negative of another, and that other value."""
         if self.operation.name == "negate":
             return True, Value(self.graph, self.operation.arguments[0])
         return False, self
@@ -160,7 +162,7 @@ class Value:
         return -graph._binary("subtract", y, x)  # pyright: ignore[reportPrivateUsage]
 
     def _without(self, term: "Value", *, negative: bool) -> "Value | None":
-        """This plus a term, or minus it, where that cancels one of its two terms."""
+        """Return the value plus a term, or minus it, where that cancels one of its two terms."""
         name, arguments = self.operation.name, self.operation.arguments
         if name not in ("add", "subtract") or term.index not in arguments:
             return None

@@ -214,7 +214,7 @@ class CompiledProgram:
 
     @cached_property
     def program(self) -> Program:
-        """All of it by NumPy."""
+        """Program that computes everything by NumPy."""
         return Program.of(self.motion, self.outputs)
 
     @cached_property

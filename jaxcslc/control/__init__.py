@@ -1,27 +1,69 @@
+"""Discrete-time controllers of robot arms, from PID to computed torque with fault detection.
+
+Every controller has `begin` and `step`. Controllers can wrap each other, and a simulator runs all
+of them alike.
+
+     Reference, q (qd) --> controller --> torque
+                              ^
+     network, k  -------------+
+
+Modules, in reading order:
+
+- `_controller`: base class, reference, and parts that controllers share.
+- `_pid`: PID control, gravity compensation, open-loop excitation.
+- `_computed_torque`: computed-torque control, and its use without tachometers.
+- `_filters`: a causal differentiating low pass.
+- `_joint_limit_avoidance`, `_fault_monitor`: wrappers for limits and faults.
+"""
+
 from ._computed_torque import (
     COMPENSATIONS as COMPENSATIONS,
     ComputedTorque as ComputedTorque,
+    OutputFeedback as OutputFeedback,
+    OutputFeedbackState as OutputFeedbackState,
     smooth_friction as smooth_friction,
 )
-from ._controller import AbstractController as AbstractController, Reference as Reference
+from ._controller import (
+    AbstractController as AbstractController,
+    Reference as Reference,
+    conditional_integration as conditional_integration,
+    error_gains as error_gains,
+)
 from ._fault_monitor import (
     FAULTS as FAULTS,
     FaultMonitor as FaultMonitor,
     FaultMonitorState as FaultMonitorState,
 )
-from ._gains_and_limits import (
-    conditional_integration as conditional_integration,
-    error_gains as error_gains,
-)
-from ._gravity import (
+from ._filters import FilteredSignal as FilteredSignal, LowPassChain as LowPassChain
+from ._joint_limit_avoidance import JointLimitAvoidance as JointLimitAvoidance
+from ._pid import (
+    PID as PID,
     AbstractPositionTorque as AbstractPositionTorque,
     Gravity as Gravity,
+    PIDState as PIDState,
+    SinusoidalTorque as SinusoidalTorque,
 )
-from ._joint_limit_avoidance import JointLimitAvoidance as JointLimitAvoidance
-from ._low_pass import FilteredSignal as FilteredSignal, LowPassChain as LowPassChain
-from ._output_feedback import (
-    OutputFeedback as OutputFeedback,
-    OutputFeedbackState as OutputFeedbackState,
-)
-from ._pid import PID as PID, PIDState as PIDState
-from ._sinusoidal_torque import SinusoidalTorque as SinusoidalTorque
+
+
+__all__ = [
+    "COMPENSATIONS",
+    "FAULTS",
+    "PID",
+    "AbstractController",
+    "AbstractPositionTorque",
+    "ComputedTorque",
+    "FaultMonitor",
+    "FaultMonitorState",
+    "FilteredSignal",
+    "Gravity",
+    "JointLimitAvoidance",
+    "LowPassChain",
+    "OutputFeedback",
+    "OutputFeedbackState",
+    "PIDState",
+    "Reference",
+    "SinusoidalTorque",
+    "conditional_integration",
+    "error_gains",
+    "smooth_friction",
+]

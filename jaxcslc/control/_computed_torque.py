@@ -1,5 +1,8 @@
+"""Computed-torque control (Eqn. 2.7-1), and velocity estimation for arms without tachometers."""
+
 import math
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -7,14 +10,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..network import CSLC
-from ._controller import AbstractController, Joints, Reference, required_velocity
-from ._gains_and_limits import (
+from ._controller import (
+    AbstractController,
+    Joints,
     PerJoint,
+    Reference,
     conditional_integration,
     error_gains,
     per_joint,
+    required_velocity,
     saturated,
 )
+from ._filters import LowPassChain
 
 
 COMPENSATIONS: dict[str, tuple[str, ...]] = {
@@ -141,14 +148,14 @@ class ComputedTorque(AbstractController):
             self.inertia = jnp.diagonal(network.mass_matrix(self.k, at))
 
     def with_coefficients(self, k: Float[Array, " coefficients"]) -> "ComputedTorque":
-        """The same controller with other coefficients, (p,), which may be traced.
+        """Return the controller with other coefficients, (p,), which may be traced.
 
         The constant diagonal in place of M(q) does not change.
         """
         return eqx.tree_at(lambda controller: controller.k, self, k)
 
     def with_network(self, network: CSLC, k: Float[Array, " coefficients"]) -> "ComputedTorque":
-        """The same controller with another network of as many joints, and its coefficients."""
+        """Return the controller with another network of as many joints, and its coefficients."""
         return eqx.tree_at(
             lambda controller: (controller.network, controller.k), self, (network, k)
         )
@@ -165,7 +172,7 @@ class ComputedTorque(AbstractController):
         interval: float | Array,
         qd: Joints | None = None,
     ) -> tuple[Joints, Joints]:
-        """As `AbstractController.step`."""
+        """Compute the torque command, as `AbstractController.step` describes."""
         q, qd = jnp.asarray(q), jnp.asarray(required_velocity(self, qd))
         shape = jnp.broadcast_shapes(q.shape, jnp.shape(reference.q))
         position, velocity = error_gains(self.natural_frequency, self.damping)
@@ -250,3 +257,69 @@ def smooth_friction(
 
 def _listed(names: Sequence[str] | dict[str, tuple[str, ...]]) -> str:
     return ", ".join(repr(name) for name in names)
+
+
+class OutputFeedbackState(NamedTuple):
+    """The memory of an `OutputFeedback` controller.
+
+    **Attributes**
+
+    - `error`: position error at the previous sample, (*batch, n) [rad or m].
+    - `filter`: state of the filter on the error, (lags, *batch, n).
+    - `controller`: state of the wrapped controller.
+    """
+
+    error: Float[Array, "*batch joints"]
+    filter: Float[Array, "lags *batch joints"]
+    controller: Any
+
+
+class OutputFeedback(AbstractController):
+    """Velocity estimation for a controller of an arm that has encoders, but no tachometers.
+
+    The rate of the *error* is filtered, not that of the position: while the arm follows its path
+    the filter then causes no delay. The controller gets qd_d minus the filtered rate of e as its
+    velocity, and the reading as its position. Where a reading is lost (NaN) the error is kept
+    from the sample before; a `FaultMonitor` ends the motion if too many are lost in a row.
+
+    **Attributes**
+
+    - `controller`: the controller that needs positions and velocities.
+    - `filter`: of the error.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxcslc.control import PID, LowPassChain, OutputFeedback, Reference
+    >>> pid = PID(1, position_gain=100.0, velocity_gain=10.0)
+    >>> feedback = OutputFeedback(pid, LowPassChain(50.0, lags=2))
+    >>> q, reference = jnp.zeros(1), Reference.at_rest(jnp.array([0.1]))
+    >>> torque, state = feedback.step(feedback.begin(q), reference, q, 0.002)
+    >>> bool(torque[0] > 10.0)
+    True
+    """
+
+    controller: AbstractController
+    filter: LowPassChain = LowPassChain(50.0, lags=2)
+
+    def begin(self, q: Joints) -> OutputFeedbackState:
+        """The state before the first sample, with the joints at rest where the path begins."""
+        zero = jnp.zeros_like(jnp.asarray(q))
+        return OutputFeedbackState(zero, self.filter.begin(zero), self.controller.begin(q))
+
+    def step(
+        self,
+        state: OutputFeedbackState,
+        reference: Reference,
+        q: Joints,
+        interval: float | Array,
+        qd: Joints | None = None,
+    ) -> tuple[Joints, OutputFeedbackState]:
+        """Compute the torque command, as `AbstractController.step`, without measured velocities."""
+        del qd
+        error = jnp.asarray(reference.q - q)
+        lost = jnp.isnan(error)
+        error = jnp.where(lost, state.error, error)
+        q = jnp.where(lost, reference.q - error, q)
+        filtered = self.filter.step(state.filter, state.error, error, interval)
+        estimate = reference.qd - self.filter.read(filtered).rate
+        torque, inner = self.controller.step(state.controller, reference, q, interval, estimate)
+        return torque, OutputFeedbackState(error, filtered, inner)

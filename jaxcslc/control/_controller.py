@@ -1,10 +1,14 @@
+"""Base class of controllers, the reference, and parts they share: gains, saturation."""
+
 import abc
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 
@@ -53,7 +57,7 @@ class AbstractController(eqx.Module):
 
     @property
     def array_generic(self) -> bool:
-        """Whether `step` computes NumPy results from NumPy arrays.
+        """True if `step` computes NumPy results from NumPy arrays.
 
         A simulator calls such a controller as it is. Any other one it compiles first.
         """
@@ -118,3 +122,122 @@ def required_velocity(controller: AbstractController, qd: Joints | None) -> Join
 def namespace(*arrays: Any) -> Any:
     """`jax.numpy` if any of the arrays is JAX's, else `numpy`."""
     return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
+
+
+PerJoint = float | Sequence[float] | Float[Array | np.ndarray, " joints"]
+
+
+def error_gains(
+    natural_frequency: PerJoint, damping: PerJoint
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Gains that make each joint's error a linear oscillator: K_p = ω_n², K_v = 2 ζ ω_n.
+
+    The two formulas after Eqn. 2.7-1 (numbered 2.6-2 in print), from Leahy and Saridis (1989): a
+    perfectly compensated arm then has e'' + K_v e' + K_p e = 0 at every joint.
+
+    **Arguments**
+
+    - `natural_frequency`: ω_n [rad/s].
+    - `damping`: ζ, 1 for the fastest decay without overshoot.
+
+    **Returns**
+
+    K_p [1/s²] and K_v [1/s].
+
+    >>> from jaxcslc.control import error_gains
+    >>> [float(gain) for gain in error_gains(20.0, 1.0)]
+    [400.0, 40.0]
+    """
+    frequency, ratio = jnp.asarray(natural_frequency, float), jnp.asarray(damping, float)
+    return frequency**2, 2.0 * ratio * frequency
+
+
+def per_joint(
+    name: str, values: PerJoint, joints: int, least: float
+) -> Float[Array | np.ndarray, " joints"]:
+    """Return one value for each joint, from one for all or a sequence.
+
+    JAX arrays stay JAX's; everything else becomes a float64 NumPy array. Traced values are not
+    checked.
+
+    **Raises**
+
+    - `ValueError`: a wrong number of values, or one below `least`; names argument and joint.
+    """
+    xp = namespace(values)
+    numbers = xp.asarray(values, float)
+    if numbers.ndim > 1 or numbers.shape not in ((), (joints,)):
+        raise ValueError(f"{name}: expected one number or {joints}, got shape {numbers.shape}")
+    numbers = xp.broadcast_to(numbers, (joints,))
+    if isinstance(numbers, Tracer):
+        return numbers
+    wrong = np.flatnonzero(~(np.asarray(numbers) >= least))
+    if wrong.size:
+        value = float(np.asarray(numbers)[wrong[0]])
+        raise ValueError(f"{name} of joint {wrong[0] + 1} is {value}; expected {least:g} or more")
+    return numbers if isinstance(numbers, jax.Array) else numbers.copy()
+
+
+def aligned(
+    values: Float[Array | np.ndarray, " joints"], like: Joints
+) -> Float[Array | np.ndarray, "..."]:
+    """Values per joint with the type and the number of axes of another array, (*batch, n).
+
+    JAX then has no ranks or types to promote, which it can be configured to refuse. NumPy needs
+    nothing of that: its values are returned as they are.
+    """
+    of_numpy = isinstance(like, np.ndarray) and isinstance(values, np.ndarray)
+    if of_numpy and like.dtype == values.dtype:
+        return values
+    shape = (1,) * (like.ndim - 1) + values.shape
+    return namespace(like, values).asarray(values.reshape(shape), dtype=like.dtype)
+
+
+def saturated(torque: Joints, limit: Float[Array | np.ndarray, " joints"]) -> Joints:
+    """Torque commands clipped at the drives' limits.
+
+    **Arguments**
+
+    - `torque`: (*batch, n) [N m or N].
+    - `limit`: (n,) [N m or N].
+
+    **Returns**
+
+    (*batch, n) [N m or N].
+    """
+    limit = aligned(limit, torque)
+    return namespace(torque, limit).clip(torque, -limit, limit)
+
+
+def conditional_integration(
+    integral: Joints,
+    increment: Joints,
+    torque: Joints,
+    limit: Float[Array | np.ndarray, " joints"],
+) -> Joints:
+    """An integral advanced by one sample, with anti-windup.
+
+    While the torque command of a joint exceeds its limit, increments that would push it further
+    into saturation are left out: otherwise overshoot has to undo them (Åström and Hägglund 1995,
+    3.5).
+
+    **Arguments**
+
+    - `integral`, `increment`: of the error, (*batch, n).
+    - `torque`: the command before it is clipped, (*batch, n) [N m or N].
+    - `limit`: (n,) [N m or N].
+
+    **Returns**
+
+    The new integral, (*batch, n).
+
+    >>> import jax.numpy as jnp
+    >>> from jaxcslc.control import conditional_integration
+    >>> increment, torque = jnp.array([0.1, 0.1, -0.1]), jnp.array([5.0, 20.0, 20.0])
+    >>> conditional_integration(jnp.zeros(3), increment, torque, jnp.full(3, 9.0)).tolist()
+    [0.1, 0.0, -0.1]
+    """
+    limit = aligned(limit, torque)
+    xp = namespace(integral, increment, torque, limit)
+    outward = (xp.abs(torque) > limit) & (torque * increment > 0)
+    return xp.where(outward, integral, integral + increment)

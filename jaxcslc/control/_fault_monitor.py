@@ -1,3 +1,5 @@
+"""Fault detection around a controller: lost samples, stuck encoders and reversed torques."""
+
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -8,9 +10,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..network import CSLC
 from ._computed_torque import smooth_friction
-from ._controller import AbstractController, Joints, Reference
-from ._gains_and_limits import PerJoint, per_joint
-from ._low_pass import LowPassChain
+from ._controller import AbstractController, Joints, PerJoint, Reference, per_joint
+from ._filters import LowPassChain
 
 
 FAULTS = ("none", "lost samples", "stuck encoder", "reversed torque")
@@ -204,7 +205,7 @@ class FaultMonitor(AbstractController):
         interval: float | Array,
         qd: Joints | None = None,
     ) -> tuple[Float[Array, " joints"], FaultMonitorState]:
-        """As `AbstractController.step`; lost readings are NaN.
+        """Compute the torque command as `AbstractController.step` does; lost readings are NaN.
 
         Measured velocities, where there are any, go to the controller; detection does not use them.
         """

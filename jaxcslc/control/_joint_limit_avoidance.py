@@ -1,3 +1,5 @@
+"""Control barrier function that keeps a controller from driving joints past their limits."""
+
 from collections.abc import Sequence
 from typing import Any
 
@@ -7,8 +9,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..network import CSLC
-from ._controller import AbstractController, Joints, Reference, required_velocity
-from ._gains_and_limits import PerJoint, per_joint, saturated
+from ._controller import (
+    AbstractController,
+    Joints,
+    PerJoint,
+    Reference,
+    per_joint,
+    required_velocity,
+    saturated,
+)
 
 
 class JointLimitAvoidance(AbstractController):
@@ -102,7 +111,7 @@ class JointLimitAvoidance(AbstractController):
         interval: float | Array,
         qd: Joints | None = None,
     ) -> tuple[Float[Array, "*batch joints"], Any]:
-        """As `AbstractController.step`."""
+        """Compute a safe torque command, as `AbstractController.step` describes."""
         qd = required_velocity(self, qd)
         torque, after = self.controller.step(state, reference, q, interval, qd)
         q, qd = jnp.asarray(q), jnp.asarray(qd)

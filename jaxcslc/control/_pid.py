@@ -1,13 +1,126 @@
+"""PID control, gravity compensation, and open-loop sinusoidal torques (thesis 7.4)."""
+
+import abc
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ._controller import AbstractController, Joints, Reference, namespace
-from ._gains_and_limits import PerJoint, aligned, conditional_integration, per_joint, saturated
-from ._gravity import AbstractPositionTorque
+from ..network import CSLC
+from ._controller import (
+    AbstractController,
+    Joints,
+    PerJoint,
+    Reference,
+    aligned,
+    conditional_integration,
+    namespace,
+    per_joint,
+    saturated,
+)
+
+
+# Gravity's columns are compared at this many random poses: a column that vanishes at all of them
+# vanishes everywhere.
+_POSES = 7
+_ZERO = 1e-12
+
+
+class AbstractPositionTorque(abc.ABC):
+    """A torque that depends on joint positions alone, such as gravity or a repulsive potential.
+
+    **Attributes**
+
+    - `array_generic`: whether `torque` computes NumPy results from NumPy arrays; see
+      `AbstractController.array_generic`.
+    """
+
+    array_generic: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def torque(self, q: Joints) -> Joints:
+        """The torque at positions `q`.
+
+        **Arguments**
+
+        - `q`: (*batch, n) [rad or m]; NumPy or JAX arrays.
+
+        **Returns**
+
+        (*batch, n) [N m or N].
+        """
+
+
+class Gravity(eqx.Module, AbstractPositionTorque):
+    """Gravity compensation with a network's gravity term G(q) (Eqn. 2.4-7).
+
+    **Attributes**
+
+    - `network`, `k`: (p,) the dynamics.
+
+    >>> import jax.numpy as jnp, jaxcslc as jc
+    >>> from jaxcslc.control import Gravity
+    >>> network = jc.derive(jc.puma560())
+    >>> gravity = Gravity(network, network.coefficients_from(jc.puma560().links))
+    >>> gravity.torque(jnp.zeros(6)).shape
+    (6,)
+    """
+
+    network: CSLC
+    k: Float[Array, " coefficients"]
+
+    @classmethod
+    def of_joints(
+        cls,
+        network: CSLC,
+        k: Float[Array | np.ndarray, " coefficients"],
+        joints: Sequence[int],
+    ) -> "Gravity":
+        """Gravity compensation of some joints, by the coefficients that act on no other joint.
+
+        For joints 2 and 3 of the PUMA 560 these are all but k₂ᴳ, that of the wrist: the
+        abbreviated gravity compensation of the thesis's PID controller (7.4), which the thesis
+        does not print. `sim.AbbreviatedGravity` computes the same from link parameters.
+
+        **Arguments**
+
+        - `network`, `k`: (p,) the dynamics.
+        - `joints`: counted from 1.
+
+        **Raises**
+
+        - `ValueError`: there is no such joint.
+
+        >>> import jax.numpy as jnp, jaxcslc as jc
+        >>> from jaxcslc.control import Gravity
+        >>> network = jc.derive(jc.puma560())
+        >>> gravity = Gravity.of_joints(network, jnp.ones(43), joints=(2, 3))
+        >>> [name for name, value in zip(network.names, gravity.k) if value]
+        ['kG1', 'kG3', 'kG4', 'kG5']
+        """
+        n = network.joint_count
+        for joint in joints:
+            if not 1 <= joint <= n:
+                raise ValueError(f"joints: there is no joint {joint}; expected 1 to {n}")
+        poses = np.random.default_rng(0).uniform(-np.pi, np.pi, (_POSES, n))
+        with jax.ensure_compile_time_eval():  # also where `k` is traced
+            columns = np.asarray(
+                jax.jacobian(lambda k: network.gravity_term(k, poses))(jnp.zeros(network.size))
+            )
+        acts = np.max(np.abs(columns), axis=0) > _ZERO  # (n, p)
+        others = np.delete(acts, [joint - 1 for joint in joints], axis=0)
+        mask = acts.any(axis=0) & ~others.any(axis=0)
+        k = jnp.asarray(k)
+        return cls(network, jnp.where(jnp.asarray(mask), k, jnp.zeros_like(k)))
+
+    def torque(self, q: Joints) -> Joints:
+        """G(q), the torque that holds the arm still."""
+        return self.network.gravity_term(self.k, q)
 
 
 class PIDState(NamedTuple):
@@ -108,11 +221,11 @@ class PID(AbstractController):
 
     @property
     def array_generic(self) -> bool:
-        """Unless the gravity compensation needs JAX."""
+        """True unless the gravity compensation needs JAX."""
         return self.gravity is None or self.gravity.array_generic
 
     def begin(self, q: Joints) -> PIDState:
-        """At rest, without error."""
+        """Return the state at rest, without error."""
         xp = namespace(q)
         zero = xp.zeros_like(q)
         return PIDState(zero, zero, zero, xp.zeros((*zero.shape[:-1], 1), int))
@@ -125,7 +238,7 @@ class PID(AbstractController):
         interval: float | Array,
         qd: Joints | None = None,
     ) -> tuple[Joints, PIDState]:
-        """As `AbstractController.step`."""
+        """Compute the torque command, as `AbstractController.step` describes."""
         error = reference.q - q
         xp = namespace(error, state.integral)
         interval = xp.asarray(interval, dtype=error.dtype)
@@ -155,3 +268,66 @@ class PID(AbstractController):
             integral = conditional_integration(before, increment, torque, self.torque_limit)
             torque = saturated(torque, self.torque_limit)
         return torque, PIDState(error, rate, integral, state.samples + 1)
+
+
+class SinusoidalTorque(AbstractController):
+    """Open-loop excitation: a sinusoidal torque at each joint, with gravity compensated (7.4.1).
+
+    The controller of the thesis's training trajectory. There is no feedback: the machine decides
+    on the motion, which is roughly sinusoidal where the inertia of each joint outweighs the
+    coupling. The reference is ignored. Samples are equally spaced. The state counts them,
+    (*batch, 1).
+
+    **Attributes**
+
+    - `amplitude`: (n,) [N m or N].
+    - `period`: (n,) [s].
+    - `phase`: (n,) [rad]. At 3π/2 a joint that starts at rest swings to one side and back.
+    - `gravity`: gravity compensation, or None.
+    - `repulsion`: torques that keep the arm away from obstacles, such as `sim.Repulsion`.
+
+    >>> import numpy as np
+    >>> from jaxcslc.control import Reference, SinusoidalTorque
+    >>> controller = SinusoidalTorque(np.array([2.0]), np.array([0.8]), np.array([1.5 * np.pi]))
+    >>> q = np.zeros(1)
+    >>> torque, state = controller.step(controller.begin(q), Reference.at_rest(q), q, 0.002)
+    >>> torque.tolist(), state.tolist()
+    ([-2.0], [1])
+    """
+
+    amplitude: Float[Array | np.ndarray, " joints"]
+    period: Float[Array | np.ndarray, " joints"]
+    phase: Float[Array | np.ndarray, " joints"]
+    gravity: AbstractPositionTorque | None = None
+    repulsion: tuple[AbstractPositionTorque, ...] = ()
+
+    @property
+    def array_generic(self) -> bool:
+        """True unless gravity compensation or repulsion need JAX."""
+        parts = self.repulsion if self.gravity is None else (self.gravity, *self.repulsion)
+        return all(part.array_generic for part in parts)
+
+    def begin(self, q: Joints) -> Int[Array | np.ndarray, "*batch 1"]:
+        """Return zero samples."""
+        xp = namespace(q)
+        return xp.zeros((*q.shape[:-1], 1), int)
+
+    def step(
+        self,
+        state: Int[Array | np.ndarray, "*batch 1"],
+        reference: Reference,
+        q: Joints,
+        interval: float | Array,
+        qd: Joints | None = None,
+    ) -> tuple[Joints, Any]:
+        """Compute the torque command, as `AbstractController.step` describes."""
+        del reference, qd  # open loop
+        xp = namespace(q, state)
+        time = state.astype(q.dtype) * xp.asarray(interval, dtype=q.dtype)
+        angle = 2 * np.pi * time / aligned(self.period, q)
+        torque = aligned(self.amplitude, q) * xp.sin(angle + aligned(self.phase, q))
+        if self.gravity is not None:
+            torque = torque + self.gravity.torque(q)
+        for repulsion in self.repulsion:
+            torque = torque + repulsion.torque(q)
+        return torque, state + 1

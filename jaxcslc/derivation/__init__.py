@@ -1,11 +1,34 @@
+"""Exact derivation of a robot's inverse dynamics: no JAX and no floating point.
+
+`derive_algebra` takes a `Manipulator` and gives an `Algebra`: coefficients, and tables of inputs
+and links of the mass matrix, the Christoffel symbols and the gravity vector. `jaxcslc.network`
+builds its terms from it.
+
+     Manipulator --> chain --> twists --> M, G as polynomials --> basis --> tables
+                     (angles)  (Jacobians)  (Lagrange, c and s)   (stage C.1.4)
+
+Modules, in reading order:
+
+- `_chain`: kinematics in groups of parallel axes, and the columns of the links' Jacobians.
+- `_exact`: rationals for decimals and angles.
+- `_polynomials`: sparse polynomials in sines and cosines, and their normal form.
+- `_inertial_terms`: products of link parameters, and their factors in M and G.
+- `_lagrange`: mass matrix, gravity vector and Christoffel symbols.
+- `_base_parameters`: the fewest coefficients, for numeric lengths and for symbolic ones.
+- `_tables`: coefficients, inputs and links.
+- `_algebra`: the whole derivation.
+- `_identifiability`, `_positivity`: properties of coefficients that the algebra decides.
+- `_newton_euler`: the same dynamics as a recursion, over any kind of number.
+"""
+
 from ._algebra import (
     Algebra as Algebra,
     Lengths as Lengths,
     constant_values as constant_values,
     derive_algebra as derive_algebra,
 )
+from ._base_parameters import Basis as Basis
 from ._chain import Chain as Chain, link_twists as link_twists
-from ._coefficient import Addend as Addend, Coefficient as Coefficient
 from ._exact import exact_cos_sin as exact_cos_sin, exact_number as exact_number
 from ._identifiability import (
     StructuralIdentifiability as StructuralIdentifiability,
@@ -23,5 +46,36 @@ from ._newton_euler import (
     link_frames as link_frames,
 )
 from ._polynomials import PositionRing as PositionRing
-from ._span import Basis as Basis
-from ._tables import Link as Link, Table as Table
+from ._tables import (
+    Addend as Addend,
+    Coefficient as Coefficient,
+    ProductTable as ProductTable,
+    TableLink as TableLink,
+)
+
+
+__all__ = [
+    "BODY",
+    "Addend",
+    "Algebra",
+    "Basis",
+    "Chain",
+    "Coefficient",
+    "InertialTerm",
+    "Lengths",
+    "LinkFrame",
+    "NewtonEuler",
+    "PositionRing",
+    "ProductTable",
+    "StructuralIdentifiability",
+    "TableLink",
+    "UnitInertia",
+    "constant_values",
+    "derive_algebra",
+    "exact_cos_sin",
+    "exact_number",
+    "inertial_terms",
+    "link_frames",
+    "link_twists",
+    "structural_identifiability",
+]

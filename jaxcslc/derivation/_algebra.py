@@ -1,3 +1,9 @@
+"""Whole derivation of a robot's inverse dynamics: `derive_algebra` and its result, the `Algebra`.
+
+Lengths are symbols or numbers. With symbols, coefficients are the thesis's (stage C.1.4); with
+numbers, they are base parameters. Tables are made when they are first used.
+"""
+
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,16 +14,14 @@ from typing import Any, Literal
 from flint import fmpq
 
 from ..manipulator import Length, Manipulator, Numbering, RobotError, Subnumbering
-from ._base_parameters import base_parameters
+from ._base_parameters import Basis, base_parameters
 from ._chain import Chain, LinkTwists, link_twists
-from ._coefficient import Addend, Coefficient, expression, unit_of
 from ._exact import exact_number
 from ._inertial_terms import InertialTerm, UnitInertia, inertial_terms, unit_inertia
 from ._lagrange import Element, Form, christoffel_symbols, gravity_vector, mass_matrix
 from ._polynomials import PositionRing
 from ._positivity import positive_by_construction
-from ._span import Basis
-from ._tables import Column, Table, table
+from ._tables import Addend, Coefficient, Column, ProductTable, expression, table, unit_of
 
 
 Lengths = Literal["symbolic", "numeric"] | tuple[str, ...]
@@ -37,18 +41,18 @@ class Tables:
         return self.elements()
 
     @cached_property
-    def mass(self) -> Table:
+    def mass(self) -> ProductTable:
         return self._table("mass", self._written[0])
 
     @cached_property
-    def velocity(self) -> Table:
+    def velocity(self) -> ProductTable:
         return self._table("velocity", christoffel_symbols(self.ring, self._written[0]))
 
     @cached_property
-    def gravity(self) -> Table:
+    def gravity(self) -> ProductTable:
         return self._table("gravity", self._written[1])
 
-    def _table(self, name: str, elements: Mapping[Any, Element]) -> Table:
+    def _table(self, name: str, elements: Mapping[Any, Element]) -> ProductTable:
         if self.numbering is None:
             return table(self.ring, elements)
         return table(self.ring, elements, getattr(self.numbering, name), self.numbering.source)
@@ -93,7 +97,7 @@ class Algebra:
 
     @property
     def unit_inertias(self) -> tuple[UnitInertia, ...]:
-        """For numeric lengths, the inertia of each base parameter alone.
+        """Inertia of each base parameter alone; for numeric lengths.
 
         Torque depends on the links through the base parameters only. So it is what the terms that
         these are named after produce alone, set to the base parameters, all others being zero. (In
@@ -103,23 +107,23 @@ class Algebra:
         return tuple(unit_inertia(self.terms[index]) for index in self.base_terms)
 
     @property
-    def mass(self) -> Table:
+    def mass(self) -> ProductTable:
         """Inputs and links of the mass matrix's upper triangle (thesis 5.1.1)."""
         return self.tables.mass
 
     @property
-    def velocity(self) -> Table:
+    def velocity(self) -> ProductTable:
         """Inputs and links of the Christoffel symbols, in mass coefficients (thesis 5.1.2)."""
         return self.tables.velocity
 
     @property
-    def gravity(self) -> Table:
+    def gravity(self) -> ProductTable:
         """Inputs and links of the gravity effect vector (thesis 5.1.3)."""
         return self.tables.gravity
 
 
 def derive_algebra(robot: Manipulator, lengths: Lengths) -> Algebra:
-    """Eqns. 2.3-17 to 2.5-6 and stage C.1.4 for any serial robot.
+    """Derive Eqns. 2.3-17 to 2.5-6 and stage C.1.4 for any serial robot.
 
     **Arguments**
 
@@ -337,7 +341,7 @@ def _published_order(
     published: Subnumbering | None,
     ring: PositionRing,
 ) -> list[tuple[int, Any]]:
-    """For each basis form, its published index and the factor that scales it to the published."""
+    """Return each basis form's published index, and the factor to the published form."""
     if published is None or not published.coefficients:
         return [(index, fmpq(1)) for index in range(len(basis.forms))]
     order: dict[int, tuple[int, Any]] = {}

@@ -1,3 +1,5 @@
+"""Rational numbers for decimals, and rational points of the unit circle for angles."""
+
 import math
 from fractions import Fraction
 

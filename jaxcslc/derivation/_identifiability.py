@@ -1,3 +1,8 @@
+"""Structural identifiability: which link parameters torque and motion can determine at all.
+
+Exact arithmetic decides; no motion is sampled (Gautier and Khalil 1990).
+"""
+
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,7 +17,7 @@ Identifiability = Literal["alone", "only in combinations", "not at all"]
 
 @dataclass(frozen=True)
 class StructuralIdentifiability:
-    """Whether a physical parameter of a robot can be identified, by any motion at all.
+    """Verdict on whether any motion can identify a physical parameter of a robot.
 
     **Attributes**
 
@@ -46,7 +51,7 @@ class StructuralIdentifiability:
 
 
 def structural_identifiability(algebra: Algebra) -> tuple[StructuralIdentifiability, ...]:
-    """Which link parameters torque and motion determine, however exciting the motion.
+    """Find the link parameters that torque and motion determine, however exciting the motion.
 
     Torque depends on link parameters through the coefficients alone, and on each coefficient
     independently of the others (2.4; with numeric lengths they are the base parameters of Gautier

@@ -1,11 +1,16 @@
+"""Products of link parameters that occur in the dynamics, and their factors in M and G.
+
+Every product belongs to entries of `BODY`, the ten numbers of a rigid body: inertia tensor, first
+moments and mass. Dynamics are linear in these (Eqns. 2.3-17, 2.3-20).
+"""
+
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, NamedTuple
 
 from ..manipulator import Manipulator
-from ._chain import LinkTwists
-from ._vectors import add, cross, dot, minus
+from ._chain import LinkTwists, add, cross, dot, minus
 
 
 # The ten numbers that a rigid body's dynamics are linear in: inertia tensor about the frame's
@@ -18,7 +23,7 @@ _CENTRE = ("rx", "ry", "rz")
 
 @dataclass(frozen=True)
 class InertialTerm:
-    """One product of a link's physical parameters, and where it is in the link's inertia.
+    """Product of a link's physical parameters, and its place in the link's inertia.
 
     **Attributes**
 
@@ -39,7 +44,7 @@ class InertialTerm:
 
     @property
     def label(self) -> str:
-        """As it is printed, links counted from 1: `"m6*rz6^2"`, `"Ixx3"`, `"Im2"`."""
+        """Term as it is printed, links counted from 1: `"m6*rz6^2"`, `"Ixx3"`, `"Im2"`."""
         counts: dict[str, int] = {}
         for factor in self.factors:
             name = f"{'Im' if factor == 'motor' else factor}{self.link + 1}"
@@ -48,7 +53,7 @@ class InertialTerm:
 
 
 class UnitInertia(NamedTuple):
-    """What a robot is whose base parameters are zero but for one, which is 1.
+    """Inertia of a robot with one base parameter of 1 and all others zero.
 
     **Attributes**
 
@@ -141,7 +146,7 @@ def _fraction(value: float) -> Fraction:
 
 
 def kinetic_factors(twists: LinkTwists, j: int, k: int, needed: set[str]) -> dict[str, Any]:
-    """What each entry of `BODY` is multiplied by in M_jk (Eqn. 2.3-24), entries in `needed` only.
+    """Return the factor of each entry of `BODY` that is in `needed` in M_jk (Eqn. 2.3-24).
 
     The bilinear form of the kinetic energy: w_j' I w_k + h · (v_j x w_k + v_k x w_j) + m v_j · v_k.
     """
@@ -162,7 +167,7 @@ def kinetic_factors(twists: LinkTwists, j: int, k: int, needed: set[str]) -> dic
 
 
 def gravity_factors(twists: LinkTwists, j: int, needed: set[str]) -> dict[str, Any]:
-    """What each entry of `BODY` is multiplied by in G_j (Eqns. 2.3-28, 2.4-7).
+    """Return the factor of each entry of `BODY` in G_j (Eqns. 2.3-28, 2.4-7).
 
     The potential energy is -g · p for every mass point p, and dp/dq_j = v_j + w_j x r.
     """

@@ -1,3 +1,8 @@
+"""Lagrange's formulation: mass matrix, gravity vector and Christoffel symbols, as polynomials.
+
+Each element maps monomials of the position to linear forms of inertial terms (stage C.1.4).
+"""
+
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -5,8 +10,7 @@ from flint import fmpq
 
 from ._chain import LinkTwists
 from ._inertial_terms import InertialTerm, gravity_factors, kinetic_factors
-from ._polynomials import PositionRing
-from ._sparse_polynomial import Monomial, SparsePolynomial
+from ._polynomials import Monomial, PositionRing, SparsePolynomial
 
 
 # A form is linear in the terms. The key names a product of parameters and symbolic constants: index

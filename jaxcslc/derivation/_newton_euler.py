@@ -1,10 +1,16 @@
+"""Newton and Euler's recursion over any kind of number: rationals, floats, arrays, expressions.
+
+It gives torque, mass matrix and regressor columns (Luh, Walker and Paul 1980; Walker and Orin
+1982). `jaxcslc.network` runs it over the expressions of generated code.
+"""
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ._chain import Chain
-from ._vectors import (
+from ._chain import (
     ZERO,
+    Chain,
     Matrix,
     Rotation,
     Vector,
@@ -25,7 +31,7 @@ Body = Sequence[Any]  # the ten numbers of `BODY`
 
 @dataclass(frozen=True)
 class LinkFrame:
-    """Where a link's frame is in its parent's, at one position of the joints.
+    """Pose of a link's frame in its parent's frame, at one position of the joints.
 
     **Attributes**
 
@@ -244,7 +250,7 @@ def _wrench(state: LinkState, body: Body) -> tuple[Vector, Vector]:
 
 
 def _tensor_moment(body: Body, state: LinkState) -> Vector:
-    """I wd + w × I w, entry by entry of I: what multiplies products of inertia is in `spin`."""
+    """Compute I wd + w × I w, entry by entry of I; `spin` multiplies products of inertia."""
     xx, yy, zz, xy, xz, yz = body[:6]
     w, wd, s = state.w, state.wd, state.spin
     return (

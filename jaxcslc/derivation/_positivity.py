@@ -1,14 +1,16 @@
+"""Sign of a coefficient that holds for every mass distribution (thesis 5.2.3)."""
+
 from collections.abc import Sequence
 from fractions import Fraction
 
-from ._coefficient import Addend
+from ._tables import Addend
 
 
 _MOMENTS = {"Ixx": ("y", "z"), "Iyy": ("x", "z"), "Izz": ("x", "y")}
 
 
 def positive_by_construction(addends: Sequence[Addend], gravity: Sequence[str]) -> bool:
-    """Whether a coefficient is positive for every possible mass distribution (thesis 5.2.3).
+    """Return whether a coefficient is positive for every possible mass distribution (thesis 5.2.3).
 
     Moments of inertia, first moments and mass of a link are integrals over its mass of products
     of two of x, y, z and the lengths. So a link's share of a coefficient is the integral of a
@@ -52,7 +54,10 @@ def _add(form: dict[tuple[str, str], Fraction], a: str, b: str, value: Fraction)
 
 
 def _positive_semidefinite(form: dict[tuple[str, str], Fraction]) -> bool:
-    """Symmetric elimination: a negative pivot, or a zero one in a row that is not zero, decides."""
+    """Return whether a form is positive semidefinite, by symmetric elimination.
+
+    A negative pivot, or a zero one in a row that is not zero, decides.
+    """
     names = sorted({name for key in form for name in key})
     rows = [[form.get((a, b), Fraction(0)) for b in names] for a in names]
     while rows:

@@ -1,6 +1,27 @@
+"""Design of the motion to record: the motion that predicts the smallest standard errors.
+
+     network, limits, noise, knowledge --> Planner --> Search --> DenseCheck --> Design --> files
+                                            |            ^
+             family, criterion, task -------+            +-- information of a motion
+
+`design_motion` is the entry. The criterion is minimised under all limits. Then the motion is
+scaled until a dense check finds every limit kept.
+
+Modules, in reading order:
+
+- `_limits`, `_noise`: limits of joints, surroundings, and noise of the recording chain.
+- `_families`: joint motions that are linear in their parameters.
+- `_information`: information of a motion about coefficients, and predicted errors.
+- `_criteria`, `_task`: what is minimised, prior knowledge, and motion to predict.
+- `_feasibility`, `collision`: limits at all times, and distances of bodies.
+- `_search`: the augmented Lagrangian.
+- `_design`: planner and designs; `_output`: files and page of a design.
+"""
+
 from ._criteria import (
     CRITERIA as CRITERIA,
     EXPLANATIONS as EXPLANATIONS,
+    Knowledge as Knowledge,
     wanted_indices as wanted_indices,
 )
 from ._design import (
@@ -17,9 +38,36 @@ from ._families import (
 )
 from ._feasibility import DenseCheck as DenseCheck, Use as Use
 from ._information import MotionInformation as MotionInformation, Prediction as Prediction
-from ._knowledge import Knowledge as Knowledge
 from ._limits import Limits as Limits, Surroundings as Surroundings, load_limits as load_limits
 from ._noise import Noise as Noise
-from ._output import design_files as design_files, save_design as save_design
-from ._result import Design as Design
+from ._output import Design as Design, design_files as design_files, save_design as save_design
 from ._task import random_parameters as random_parameters
+from .collision import CollisionBodies as CollisionBodies
+
+
+__all__ = [
+    "CRITERIA",
+    "EXPLANATIONS",
+    "FAMILIES",
+    "AbstractFamily",
+    "BSplines",
+    "DenseCheck",
+    "Design",
+    "FourierSeries",
+    "Knowledge",
+    "Limits",
+    "MinimumJerkMoves",
+    "MotionInformation",
+    "Noise",
+    "Planner",
+    "Prediction",
+    "Surroundings",
+    "Use",
+    "design_files",
+    "design_motion",
+    "family_named",
+    "load_limits",
+    "random_parameters",
+    "save_design",
+    "wanted_indices",
+]

@@ -1,3 +1,6 @@
+"""Criteria that a design minimises, and the knowledge of coefficients before the motion."""
+
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, Literal, get_args
 
@@ -6,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..bodies import information_rows
+from ..least_squares import Identification
 from ..network import CSLC
 from ._information import Moments, Square, error_covariance
 from ._task import BodyPrior
@@ -134,9 +139,125 @@ def prior_information(
     information: Square | None,
     weak: float = 1.0,
 ) -> Square:
-    """What is known before a motion, in units of coefficients' sizes: earlier recordings'
-    information, and each coefficient to about `weak` times its size."""
+    """Compute the information before a motion, in units of coefficients' sizes.
+
+    It is the information of earlier recordings, and each coefficient to about `weak` times its
+    size.
+    """
     total = np.eye(len(size)) / weak**2
     if information is not None:
         total = total + information * np.outer(size, size)
     return total
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Knowledge:
+    """Knowledge of a robot's coefficients before a motion is designed.
+
+    **Attributes**
+
+    - `k`: (p,) coefficients: sizes, and the model by which torques are foreseen.
+    - `information`: (p, p) the inverse of their covariance, 0 where nothing is known; None if
+      nothing is known of any.
+    - `standard_error`: (p,) of `k`; infinite where nothing is known.
+    - `is_model`: whether `k` is a model of the robot; False where sizes alone are guessed.
+
+    >>> import jaxcslc as jc
+    >>> from jaxcslc.excitation import Knowledge
+    >>> knowledge = Knowledge.of_robot(jc.derive(jc.puma560()))
+    >>> knowledge.is_model, knowledge.information
+    (True, None)
+    """
+
+    k: Float[np.ndarray, " coefficients"]
+    information: Square | None
+    standard_error: Float[np.ndarray, " coefficients"]
+    is_model: bool = True
+
+    @classmethod
+    def of_robot(cls, network: CSLC) -> "Knowledge":
+        """The coefficients of the robot's own links and friction; of robots whose file has no
+        masses, no model."""
+        robot = network.robot
+        unknown = np.full(network.size, np.inf)
+        if robot.links is None:
+            return cls(np.zeros(network.size), None, unknown, is_model=False)
+        values = {"viscous": robot.viscous, "dry": robot.dry}
+        friction: dict[str, Any] = {
+            kind: value
+            for kind, value in values.items()
+            if value is not None and kind in network.layout.kinds
+        }
+        k = np.asarray(network.coefficients_from(robot.links, **friction))
+        return cls(k, None, unknown)
+
+    @classmethod
+    def of_fit(cls, network: CSLC, fit: Identification) -> "Knowledge":
+        """Make the knowledge that an earlier identification of the same network gives.
+
+        **Raises**
+
+        - `ValueError`: it is of another network.
+        """
+        if fit.names != network.names:
+            raise ValueError(
+                f"prior identification: has coefficients {fit.names[0]} to {fit.names[-1]};"
+                f" {network.name!r} has {network.names[0]} to {network.names[-1]}"
+            )
+        k = np.asarray(fit.k, float)
+        rows = information_rows(fit, k)
+        # Correlations are those for independent errors, standard errors those that the fit reports.
+        independent = np.diag(np.asarray(fit.independent_covariance))
+        variance = np.diag(np.asarray(fit.covariance))
+        counted = (independent > 0.0) & (variance > 0.0)
+        ratio = np.divide(variance, independent, out=np.ones_like(variance), where=counted)
+        rows = rows / np.sqrt(ratio)
+        return cls(k, rows.T @ rows, np.asarray(fit.standard_error))
+
+    def with_payload(self, network: CSLC, mass: float) -> "Knowledge":
+        """Return the knowledge with a payload of which only an approximate mass is known.
+
+        The mass serves to foresee torques, and is no prior.
+
+        **Arguments**
+
+        - `network`: with a payload, `network.with_payload()`.
+        - `mass`: of the payload, a point at the origin of the frame that carries it [kg].
+
+        **Raises**
+
+        - `ValueError`: the network has no payload or other coefficients beside it; a negative mass.
+
+        >>> import jaxcslc as jc
+        >>> from jaxcslc.excitation import Knowledge
+        >>> network = jc.derive(jc.puma560())
+        >>> loaded = network.with_payload()
+        >>> knowledge = Knowledge.of_robot(network).with_payload(loaded, 2.0)
+        >>> dict(zip(loaded.names, knowledge.k.tolist()))["pm"]
+        2.0
+        """
+        layout = network.layout
+        added = layout.size - len(self.k)
+        if layout.payload != slice(len(self.k), layout.size) or not added:
+            raise ValueError(
+                f"payload: expected a network with {len(self.k)} coefficients and a payload's ten,"
+                f" got {layout.size} coefficients"
+            )
+        if not 0.0 <= mass < np.inf:
+            raise ValueError(f"payload: mass is {mass}; expected 0 kg or more")
+        k = np.pad(self.k, (0, added))
+        k[layout.names.index("pm")] = mass
+        information = None if self.information is None else np.pad(self.information, (0, added))
+        error = np.pad(self.standard_error, (0, added), constant_values=np.inf)
+        return Knowledge(k, information, error, self.is_model)
+
+    def after(
+        self, covariance: Square, k: Float[Array | np.ndarray, " coefficients"] | None = None
+    ):
+        """The knowledge once coefficients have a covariance (p, p), as a `Prediction` has it."""
+        error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        unit = np.where(error > 0.0, error, 1.0)
+        inverse = np.linalg.inv(covariance / np.outer(unit, unit)) / np.outer(unit, unit)
+        return Knowledge(
+            self.k if k is None else np.asarray(k, float), inverse, error, self.is_model
+        )

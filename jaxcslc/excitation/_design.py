@@ -1,3 +1,5 @@
+"""Entry of the package: `design_motion`, and the `Planner` for several designs of one robot."""
+
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
@@ -8,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..motion import Recording
 from ..network import CSLC
+from ..recordings import Recording
 from ._criteria import (
     CRITERIA,
     ON_TASK,
+    Knowledge,
     log_criterion,
     prior_information,
     wanted_indices,
@@ -27,16 +30,15 @@ from ._information import (
     column_scaled,
     condition_of,
     error_covariance,
+    regressor_of,
     time_grid,
 )
-from ._knowledge import Knowledge
 from ._limits import Limits, Surroundings
 from ._noise import Noise
-from ._regressor import regressor_of
-from ._result import Design
-from ._search import Problem, Search
+from ._output import Design
+from ._search import DesignProblem, Search
 from ._task import body_prior, random_parameters, random_products, task_products
-from .collision import Bodies
+from .collision import CollisionBodies
 
 
 FamilyName = Literal["splines", "fourier", "periodic", "moves"]
@@ -94,7 +96,7 @@ def design_motion(
     steps: int = 60,
     progress: Callable[[str], None] | None = None,
 ) -> Design:
-    """Designs the motion to record: that which makes predicted standard errors least.
+    """Design the motion to record: that which makes predicted standard errors least.
 
     The logarithm of the criterion is minimised by gradients through the regressor under all limits
     (augmented Lagrangian, L-BFGS), from several random motions of which the best is refined. Then
@@ -153,7 +155,7 @@ def design_motion(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Planner:
-    """Everything that designs of one robot, family and wish share.
+    """Shared data of all designs for one robot, family and wish.
 
     **Attributes**
 
@@ -172,9 +174,9 @@ class Planner:
     ('quintic B-splines of 8 intervals', True)
     """
 
-    problem: Problem
+    problem: DesignProblem
     check: DenseCheck
-    bodies: Bodies | None
+    bodies: CollisionBodies | None
     family: AbstractFamily
     limits: Limits
     noise: Noise
@@ -198,7 +200,7 @@ class Planner:
         start: Float[np.ndarray, " joints"] | None = None,
         seed: int = 0,
     ) -> "Planner":
-        """As the arguments of `design_motion` say; raises as it does."""
+        """Make a planner from the arguments of `design_motion`; raises as it does."""
         n = network.joint_count
         if criterion not in CRITERIA:
             raise ValueError(f"criterion: expected {', '.join(CRITERIA)}, got {criterion!r}")
@@ -214,7 +216,7 @@ class Planner:
         coarse = np.clip(family.duration / _SAMPLES, _FINEST, _COARSEST)
         time, interval = time_grid(family.duration, float(coarse))
         model = knowledge.k if knowledge.is_model else None
-        bodies = None if surroundings is None else Bodies.of(network.robot, surroundings)
+        bodies = None if surroundings is None else CollisionBodies.of(network.robot, surroundings)
         check = DenseCheck(
             network, model, limits, family, distance=None if bodies is None else bodies.clearance
         )
@@ -232,7 +234,7 @@ class Planner:
         elif criterion in ON_TASK:
             rng = np.random.default_rng(seed)
             of_task = random_products(information, check, model, time, rng)
-        problem = Problem.of(
+        problem = DesignProblem.of(
             information,
             family,
             time,
@@ -278,9 +280,12 @@ class Planner:
         return self.described(parameters, use, self.criterion_of(parameters), scale, notes)
 
     def _repair(self, search: Search, steps: int) -> None:
-        """Once more from where a search ended, with limits a little narrower where the dense check
-        says that a motion exceeds them between the search's samples, and a little further away from
-        other bodies, as long as linear distances were not enough."""
+        """Search once more from where a search ended, with limits a little narrower.
+
+        They are narrower where the dense check finds a motion beyond them between the search's
+        samples. Other bodies are kept a little further away, as long as linear distances were not
+        enough.
+        """
         bodies, beside = self.bodies, _BESIDE
         for _ in range(_REPAIRS):
             parameters = self._of_variables(search.best)
@@ -333,7 +338,7 @@ class Planner:
         return float(np.exp(value))
 
     def moments(self, motion: Any) -> Any:
-        """What a motion on the grid says of coefficients."""
+        """Compute the information that a motion on the grid has about the coefficients."""
         information = self.problem.information
         q, qd, qdd = (np.asarray(x) for x in motion)
         regressor = regressor_of(information.network, q, qd, qdd)

@@ -1,3 +1,8 @@
+"""Families of joint motions from rest to rest: B-splines, Fourier series, minimum-jerk moves.
+
+All are linear in their parameters, so that kinematic limits are linear too.
+"""
+
 import abc
 import dataclasses
 from functools import cached_property
@@ -40,7 +45,7 @@ class AbstractFamily(abc.ABC):
 
     @abc.abstractmethod
     def bound(self, parameters: Parameters, order: int) -> Float[np.ndarray, " joints"]:
-        """What the absolute derivative of that order, from 1, exceeds at no time, (joints,)."""
+        """Bound the absolute derivative of that order, from 1, at all times, (joints,)."""
 
     @property
     @abc.abstractmethod
@@ -72,7 +77,7 @@ class AbstractFamily(abc.ABC):
     def between_samples(
         self, parameters: Parameters, order: int, interval: float
     ) -> Float[np.ndarray, " joints"]:
-        """By how much a derivative can exceed, between samples, its values at both, (joints,).
+        """Bound how far a derivative exceeds, between samples, its values at both, (joints,).
 
         A function whose slope is at most b lies at most b h / 2 above its samples; one whose second
         derivative is at most c, at most c h² / 8.
@@ -85,7 +90,9 @@ class AbstractFamily(abc.ABC):
 
 
 def sample_times(duration: float, rate: float) -> Times:
-    """From 0 to the duration, both included, so many samples a second or slightly more.
+    """Return times from 0 to the duration, both included.
+
+    There are `rate` samples per second, or slightly more.
 
     >>> sample_times(1.0, 4.0).tolist()
     [0.0, 0.25, 0.5, 0.75, 1.0]
@@ -334,7 +341,7 @@ class MinimumJerkMoves(AbstractFamily):
 
     @property
     def _span(self) -> float:
-        """Of one move [s]."""
+        """Duration of one move [s]."""
         return self.duration / (1.0 + (self.moves - 1) * (1.0 - self.overlap))
 
     @property

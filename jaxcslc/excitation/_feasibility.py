@@ -1,3 +1,5 @@
+"""Use of limits by a motion at all times, and the scaling of a motion until it keeps them."""
+
 import dataclasses
 from collections.abc import Callable
 from typing import Any
@@ -7,8 +9,8 @@ from jaxtyping import Float
 
 from ..network import CSLC
 from ._families import AbstractFamily, Parameters, sample_times
+from ._information import torques_of
 from ._limits import QUANTITIES, Joints, Limits
-from ._regressor import torques_of
 
 
 # Friction terms that do not jump where a joint reverses.
@@ -20,7 +22,7 @@ _ROUNDING = 1e-9
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Use:
-    """How much of each limit a motion uses, between samples included: 1 is all of it.
+    """Use of each limit by a motion, between samples included: 1 is all of it.
 
     **Attributes**
 
@@ -43,7 +45,7 @@ class Use:
 
     @property
     def feasible(self) -> bool:
-        """Whether all limits are kept."""
+        """True if all limits are kept."""
         within = all(np.all(values <= 1.0 - _ROUNDING) for values in self.joints.values())
         return within and (self.distance is None or self.distance >= 0.0)
 
@@ -57,7 +59,7 @@ class Use:
         return f"{name} of {self._name(joint)} ({100 * values[joint]:.4g} % of its limit)"
 
     def margins(self) -> list[dict[str, Any]]:
-        """One row a limit: what is left of it at the joint that uses most, as a part."""
+        """Return one row per limit: the part that is left at the joint that uses most."""
         rows: list[dict[str, Any]] = [
             {"limit": name, "joint": int(x.argmax()) + 1, "margin": float(1.0 - x.max())}
             for name, x in self.joints.items()
@@ -79,7 +81,7 @@ class Use:
         return "margins: " + ", ".join(parts)
 
     def _name(self, joint: int) -> str:
-        """Of a joint, from 0."""
+        """Return the name of a joint, from 0."""
         return self.names[joint] if self.names else f"joint {joint + 1}"
 
 
@@ -97,7 +99,7 @@ def without_jumps(
 
 
 class DenseCheck:
-    """Whether a motion keeps all limits, at all times.
+    """Check that a motion keeps all limits, at all times.
 
     Positions and derivatives are sampled, and what a derivative of higher order allows between
     samples is added; that is a bound, not an estimate. Torque is the prior model's; between
@@ -142,7 +144,7 @@ class DenseCheck:
             self._models = np.stack([np.asarray(k, float), without_jumps(network, k)])
 
     def use(self, parameters: Parameters, *, bodies: bool = True) -> Use:
-        """How much of each limit a motion uses; `bodies`: look for collisions too."""
+        """Compute how much of each limit a motion uses; `bodies`: look for collisions too."""
         parameters = np.asarray(parameters, float)
         joints: dict[str, Joints] = {}
         derivatives = [basis @ parameters for basis in self._basis]

@@ -1,3 +1,8 @@
+"""Information of a motion about coefficients, by frequency, and predicted standard errors.
+
+`Noise` gives the errors of the equations; `_criteria` makes one number of the information.
+"""
+
 import dataclasses
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -6,12 +11,65 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from ..network import CSLC
 from ._families import Times
 from ._noise import Noise
-from ._regressor import mass_matrices_of, regressor_of
+
+
+# Of whole motions, where nothing is differentiated. NumPy computes them, from the network's
+# expressions: for each of them, and each number of samples, XLA compiles for some seconds, which
+# is longer than all calls of a design take.
+States = Float[Array | np.ndarray, "samples joints"]
+
+
+def regressor_of(
+    network: CSLC, q: States, qd: States, qdd: States
+) -> Float[np.ndarray, "samples joints coefficients"]:
+    """The regressor of a motion; compiled for terms of which NumPy cannot compute columns."""
+    if not network.has_host_columns:
+        return np.asarray(_regressor(network, *(jnp.asarray(x) for x in (q, qd, qdd))))
+    columns = _columns(network, q, qd, qdd)
+    regressor = np.zeros((len(q), len(columns), network.size))
+    for joint, (rows, support) in enumerate(zip(columns, network.support, strict=True)):
+        regressor[:, joint, list(support)] = rows.T
+    return regressor
+
+
+def torques_of(
+    network: CSLC, k: Float[np.ndarray, "models coefficients"], q: States, qd: States, qdd: States
+) -> Float[np.ndarray, "models samples joints"]:
+    """Torques of a motion by several models, a row of `k` each."""
+    if not network.has_host_columns:
+        return np.einsum("sjp,mp->msj", regressor_of(network, q, qd, qdd), k)
+    columns = _columns(network, q, qd, qdd)
+    torques = [
+        k[:, list(support)] @ rows for rows, support in zip(columns, network.support, strict=True)
+    ]
+    return np.stack(torques, axis=-1)
+
+
+def mass_matrices_of(
+    network: CSLC, k: Float[np.ndarray, " coefficients"], q: States
+) -> Float[np.ndarray, "samples joints joints"]:
+    """M(q): what torques at rest change by with unit accelerations, joint by joint."""
+    zero, joints = np.zeros_like(q), np.eye(q.shape[1])
+    of_gravity = torques_of(network, k[None], q, zero, zero)[0]
+    columns = [torques_of(network, k[None], q, zero, zero + unit)[0] for unit in joints]
+    return np.stack(columns, axis=-1) - of_gravity[..., None]
+
+
+def _columns(
+    network: CSLC, q: States, qd: States, qdd: States
+) -> tuple[Float[np.ndarray, "_ samples"], ...]:
+    rows: Any = (np.ascontiguousarray(np.asarray(x, float).T) for x in (q, qd, qdd))
+    return tuple(np.asarray(x) for x in network.columns(*rows))
+
+
+@eqx.filter_jit
+def _regressor(network: CSLC, q: Any, qd: Any, qdd: Any) -> Any:
+    return network.regressor(q, qd, qdd)
 
 
 Motion = tuple[Any, Any, Any]
@@ -36,7 +94,7 @@ class Spectra(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """What a motion says of coefficients, in units of their sizes.
+    """Information of a motion about coefficients, in units of their sizes.
 
     **Attributes**
 
@@ -107,7 +165,10 @@ class MotionInformation(eqx.Module):
         return Spectra(white, white @ density @ white.swapaxes(-1, -2))
 
     def moments(self, motion: Motion, spectra: Spectra, regressor: Any = None) -> Moments:
-        """Of a motion (`q`, `qd`, `qdd`), differentiable; `regressor`: if it is known already."""
+        """Compute the moments of a motion (`q`, `qd`, `qdd`), differentiably.
+
+        - `regressor`: if it is known already.
+        """
         q, qd, qdd = motion
         if regressor is None:
             regressor = self.network.regressor(q, qd, qdd)
@@ -126,7 +187,7 @@ class MotionInformation(eqx.Module):
         return Moments(normal, spread, flat.T @ flat)
 
     def _weights(self, qd: Float[Any, "samples joints"]) -> Any:
-        """Near 0 where a joint hardly moves, near 1 where it moves: whether a pair counts."""
+        """Return weights of pairs: near 0 where a joint hardly moves, near 1 where it moves."""
         fraction = self.noise.slow_fraction
         if fraction == 0.0:
             return jnp.ones_like(qd)
@@ -191,11 +252,11 @@ class Prediction:
 
     @property
     def determined(self) -> Bool[np.ndarray, " coefficients"]:
-        """Which coefficients the motion and what is known determine."""
+        """True for each coefficient that the motion and the prior knowledge determine."""
         return self.relative_error <= 0.1 * UNDETERMINED
 
     def gains(self, most: int = 8) -> list[str]:
-        """What the motion buys, a line a coefficient, the largest gain first: 95 % intervals."""
+        """Return one line per coefficient, largest gain first: 95 % intervals before and after."""
         ratio = np.where(self.determined, self.standard_error / self.before, np.inf)
         order = np.argsort(ratio)[: min(most, int(self.determined.sum()))]
         return [
@@ -205,7 +266,7 @@ class Prediction:
         ]
 
     def rows(self) -> list[dict[str, Any]]:
-        """One row a coefficient."""
+        """Return one row per coefficient."""
         return [
             {
                 "name": name,

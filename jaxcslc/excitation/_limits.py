@@ -1,3 +1,5 @@
+"""Limits of joints, and surroundings that bodies keep away from, as TOML files state them."""
+
 import dataclasses
 import math
 import tomllib
@@ -25,7 +27,7 @@ QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Limits:
-    """What joints must not exceed.
+    """Limits that joints must not exceed.
 
     **Attributes**
 
@@ -169,7 +171,7 @@ class Limits:
 
 @dataclasses.dataclass(frozen=True)
 class Surroundings:
-    """What bodies must keep away from.
+    """Surroundings from which the robot's bodies must keep away.
 
     **Attributes**
 
@@ -207,7 +209,7 @@ class Surroundings:
 
 
 def load_limits(path: str | Path, robot: Manipulator) -> tuple[Limits, Surroundings | None]:
-    """Reads limits from a TOML file.
+    """Read limits from a TOML file.
 
     Tables `[joints]` with `position`, `velocity`, `acceleration`, `jerk`, `torque`, `power`,
     `position_margin` and `torque_margin`, which replace those of the robot's file; and
@@ -284,7 +286,7 @@ def _unlimited(robot: Manipulator) -> list[bool]:
 
 
 def _of_file(robot: Manipulator, unlimited: Sequence[bool]) -> dict[str, Any]:
-    """What the robot's file states, and one turn where it says nothing of a range."""
+    """Return the limits that the robot's file states, and one turn where it states no range."""
     limits = [robot.joint_limits[i] for i in robot.independent_joints]
     return {
         "position": [

@@ -1,11 +1,13 @@
+"""Noise of the recording chain: torques, encoders, and the estimator that meets them."""
+
 import dataclasses
 from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
 
-from ..identification.solver import Identification
-from ..motion import Recording, Sampling, decimation_for
+from ..least_squares import Identification
+from ..recordings import Recording, Sampling, decimation_for
 
 
 Estimator = Literal["likelihood", "regression"]
@@ -93,7 +95,7 @@ class Noise:
         torque_bandwidth: PerJoint | None = None,
         estimator: str = "likelihood",
     ) -> "Noise":
-        """With rate and resolution of a recording of the same robot.
+        """Make the noise with rate and resolution of a recording of the same robot.
 
         **Arguments**
 
@@ -125,7 +127,7 @@ class Noise:
         cutoff: float | None = None,
         **stated: Any,
     ) -> "Noise":
-        """As an earlier identification met it: residuals, and how they were correlated.
+        """Estimate the noise from an earlier identification's residuals and their correlation.
 
         A joint's n residuals at a rate of r in a second, worth m independent ones, are those of a
         first-order low pass of the bandwidth b for which, with x = r / (2 b),
@@ -186,20 +188,29 @@ class Noise:
         return _SLOW[self.estimator] if self.slow is None else self.slow
 
     def torque_deviation(self, joints: int) -> Float[np.ndarray, " joints"]:
-        """Of each joint's torque [N m or N]. **Raises** `ValueError` for another number."""
+        """Return the standard deviation of each joint's torque noise [N m or N].
+
+        **Raises** `ValueError` for another number of values than joints.
+        """
         return per_joint("torque noise", self.torque, joints)
 
     def position_deviation(self, joints: int) -> Float[np.ndarray, " joints"]:
-        """Of each joint's readings [rad or m]. **Raises** `ValueError` for another number."""
+        """Return the standard deviation of each joint's readings [rad or m].
+
+        **Raises** `ValueError` for another number of values than joints.
+        """
         return per_joint("resolution", self.resolution, joints) / np.sqrt(12.0)
 
     def offset_deviation(self, joints: int) -> Float[np.ndarray, " joints"]:
-        """Of each joint's offset [N m or N]. **Raises** `ValueError` for another number."""
+        """Return the standard deviation of each joint's offset [N m or N].
+
+        **Raises** `ValueError` for another number of values than joints.
+        """
         return per_joint("offset", self.offset, joints)
 
     @property
     def efficient(self) -> bool:
-        """Whether the estimator's weights are those of all errors."""
+        """True if the estimator's weights are those of all errors."""
         return self.estimator == "likelihood" and not np.any(self.offset)
 
     def density(
@@ -229,7 +240,7 @@ class Noise:
         )
 
     def gain(self, frequency: Float[np.ndarray, " frequencies"]) -> Float[np.ndarray, " _"]:
-        """Of the filter through which `"regression"` sees its equations."""
+        """Return the gain of the filter through which `"regression"` sees its equations."""
         return 1.0 / (1.0 + (frequency / self.cutoff) ** (2 * _FILTER_ORDER))
 
 
@@ -249,7 +260,7 @@ def _low_pass(
 
 
 def per_joint(name: str, values: PerJoint, joints: int) -> Float[np.ndarray, " joints"]:
-    """One number a joint, from one for all or from as many.
+    """Return one number per joint, from one for all or from as many.
 
     **Raises** `ValueError` for another number of them.
     """

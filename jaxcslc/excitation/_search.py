@@ -1,3 +1,5 @@
+"""Search for the best motion: an augmented Lagrangian with L-BFGS steps."""
+
 import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -12,9 +14,8 @@ from jaxtyping import Float, Int
 from ._criteria import log_criterion
 from ._families import AbstractFamily, Parameters, Times
 from ._feasibility import without_jumps
-from ._information import MotionInformation, Spectra
+from ._information import MotionInformation, Spectra, regressor_of
 from ._limits import QUANTITIES, Joints, Limits
-from ._regressor import regressor_of
 
 
 # Of limits: what is kept back during the search, for what happens between samples.
@@ -51,8 +52,8 @@ _CONTACTS = 1024  # a fixed number, so that programs are compiled once
 _LENGTH = 0.02  # what distances are measured in [m]
 
 
-class Problem(eqx.Module):
-    """What a search minimises, and what it must keep.
+class DesignProblem(eqx.Module):
+    """Problem of a search: what it minimises, and the limits that it must keep.
 
     **Attributes**
 
@@ -94,8 +95,8 @@ class Problem(eqx.Module):
         task: Any,
         criterion: str,
         start: Float[np.ndarray, " joints"] | None,
-    ) -> "Problem":
-        """On a grid of times; `start`: the pose that motions start from, any if None."""
+    ) -> "DesignProblem":
+        """Make a problem on a grid of times; `start`: the first pose of motions, any if None."""
         ranges = [limits.symmetric(order) for order in range(4)]
         half = np.stack([half for _, half in ranges])
         unit = np.tile(half[0] / 2, (family.size, 1))
@@ -124,7 +125,7 @@ class Problem(eqx.Module):
         return self.start + self.unit * x.reshape(self.unit.shape)
 
     def variables(self, parameters: Parameters) -> Float[np.ndarray, " variables"]:
-        """What the search varies, of parameters."""
+        """Return the variables of the search for given parameters."""
         unit = np.asarray(self.unit)
         return np.where(unit > 0, np.asarray(parameters) / np.where(unit > 0, unit, 1), 0).ravel()
 
@@ -154,8 +155,8 @@ class Problem(eqx.Module):
         )
         return (q, qd, qdd), values, regressor
 
-    def narrowed(self, used: Mapping[str, Joints]) -> "Problem":
-        """With limits of which a motion uses more than all divided by what it uses.
+    def narrowed(self, used: Mapping[str, Joints]) -> "DesignProblem":
+        """Narrow each limit that a motion exceeds, dividing it by the part that the motion uses.
 
         **Arguments**
 
@@ -197,7 +198,7 @@ class Problem(eqx.Module):
 
 @eqx.filter_jit
 def _lagrangian(
-    problem: Problem,
+    problem: DesignProblem,
     x: Any,
     spectra: Spectra,
     multipliers: Multipliers,
@@ -214,7 +215,7 @@ def _lagrangian(
 
 @eqx.filter_jit
 def _updated(
-    problem: Problem,
+    problem: DesignProblem,
     x: Any,
     multipliers: Multipliers,
     penalty: Any,
@@ -240,7 +241,7 @@ class Search:
     - `multipliers`: that the last run ended with.
     """
 
-    problem: Problem
+    problem: DesignProblem
     contacts: Callable[[Float[np.ndarray, "samples joints"]], Contacts] | None = None
     progress: Callable[[str], None] | None = None
     best: Float[np.ndarray, " variables"] | None = None
@@ -254,7 +255,7 @@ class Search:
         penalty: float = _FIRST_PENALTY,
         multipliers: Multipliers | None = None,
     ) -> float:
-        """Minimises from `x`; so many rounds of multipliers, from zeros if none are passed, with so
+        """Minimise from `x`; so many rounds of multipliers, from zeros if none are passed, with so
         many steps each, with a penalty that grows from round to round.
 
         **Returns** the logarithm of the criterion at the end, which limits may still not allow.

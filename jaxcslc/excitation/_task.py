@@ -1,15 +1,16 @@
+"""Motion on which torque is to be predicted, and links of the robot's file as a prior."""
+
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from ..inertia import balls, body_map, body_of_pseudo_inertia, prior_of, pseudo_inertia
-from ..motion import Preparation, Recording
+from ..bodies import balls, body_map, body_of_pseudo_inertia, prior_of, pseudo_inertia
 from ..network import CSLC
+from ..recordings import Preparation, Recording
 from ._families import Parameters, Times
 from ._feasibility import DenseCheck
-from ._information import MotionInformation
-from ._regressor import regressor_of
+from ._information import MotionInformation, regressor_of
 
 
 _TASKS, _TASK_STRIDE = 40, 5  # random motions on which torques matter, samples apart
@@ -119,7 +120,7 @@ class BodyPrior(NamedTuple):
 
 
 def body_prior(network: CSLC, size: Float[np.ndarray, " coefficients"]) -> BodyPrior:
-    """Of the links of the robot's file.
+    """Make the prior of the links of the robot's file.
 
     **Raises**
 
@@ -153,7 +154,7 @@ def body_prior(network: CSLC, size: Float[np.ndarray, " coefficients"]) -> BodyP
 
 
 def _body_changes(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "10 10"]:
-    """What unit changes of a pseudo-inertia in its own units make of the ten numbers."""
+    """Return derivatives of the ten numbers by a pseudo-inertia in its own units."""
     root = np.linalg.cholesky(pseudo_inertia(body))
     columns: list[np.ndarray] = []
     for i in range(4):

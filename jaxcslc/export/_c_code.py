@@ -1,13 +1,379 @@
+"""Header and source of exported C code."""
+
 import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..identification.friction import checked_lengths
-from ..network import CSLC
-from ._c_file import header_file, source_file
-from ._c_functions import c_functions
+from ..codegen import Expressions, KernelText, Motion, Value
+from ..friction import checked_lengths, state_after
+from ..network import CSLC, ExpressionFunctions, term_entries
+from ._rigid_body import RigidBodies, rigid_bodies
+
+
+def input_entries(
+    network: CSLC, motion: Motion, contacts: Mapping[int, Value]
+) -> list[tuple[int, int, Value]]:
+    """The regressor's entries beside the rigid body's: friction, offsets, springs, coupled joints.
+
+    - `contacts`: by joint, the state that its dry friction has in place of a sign.
+
+    **Returns**
+
+    - Joint, coefficient and value of each.
+    """
+    entries: list[tuple[int, int, Value]] = []
+    for term in network.input_terms:
+        indices = network.layout.indices(term.kind).tolist()
+        states = contacts if term.kind == "dry" else {}
+        entries += [
+            (joint, indices[i], states.get(joint, value))
+            for joint, i, value in term_entries(term, motion)
+        ]
+    return entries
+
+
+def input_inertias(
+    network: CSLC, k: Float[np.ndarray, " coefficients"]
+) -> list[tuple[int, int, float]]:
+    """Return the entries that terms other than the rigid body add to the mass matrix.
+
+    They are on and above its diagonal.
+
+    **Returns**
+
+    - Row, column and value of each.
+    """
+    entries: list[tuple[int, int, float]] = []
+    for term in network.input_terms:
+        total = np.tensordot(k[network.layout.of(term)], term.inertia_matrices, 1)
+        entries += [
+            (int(i), int(j), float(total[i, j]))
+            for i, j in zip(*np.triu_indices(len(total)), strict=True)
+            if total[i, j]
+        ]
+    return entries
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """Network with coefficients, and one way to compute its operations.
+
+    **Attributes**
+
+    - `network`, `k`: (p,) its coefficients.
+    - `motion`: the joints' positions, velocities and accelerations.
+    - `rigid_body`: the rigid-body part, payload included.
+    - `lengths`: (n,) of pre-sliding [rad or m]; 0 where dry friction follows the sign of velocity.
+    """
+
+    network: CSLC
+    k: Float[np.ndarray, " coefficients"]
+    motion: Motion
+    rigid_body: RigidBodies
+    lengths: Float[np.ndarray, " joints"]
+
+    @property
+    def contacts(self) -> dict[int, Value]:
+        """State of each pre-sliding contact, by joint."""
+        joints = np.flatnonzero(self.lengths).tolist()
+        return {joint: self.motion.graph.input(f"w[{joint}]") for joint in joints}
+
+
+def torque(dynamics: Dynamics) -> list[Value]:
+    total = dynamics.rigid_body.torque()
+    entries = input_entries(dynamics.network, dynamics.motion, dynamics.contacts)
+    for joint, index, value in entries:
+        total[joint] = total[joint] + value * float(dynamics.k[index])
+    return total
+
+
+def mass_matrix(dynamics: Dynamics) -> list[Value]:
+    rows = dynamics.rigid_body.mass_matrix()
+    for i, j, value in input_inertias(dynamics.network, dynamics.k):
+        rows[i][j] = rows[i][j] + value
+        rows[j][i] = rows[i][j]
+    return [value for row in rows for value in row]
+
+
+def gravity(dynamics: Dynamics) -> list[Value]:
+    return dynamics.rigid_body.torque(("gravity",))
+
+
+def regressor(dynamics: Dynamics) -> list[Value] | None:
+    network, motion = dynamics.network, dynamics.motion
+    rigid = dynamics.rigid_body.regressor()
+    if rigid is None:
+        return None
+    layout = network.layout
+    rows = [[motion.graph.constant(0.0)] * layout.size for _ in rigid]
+    inertial = layout.inertial.stop
+    for row, values in zip(rows, rigid, strict=True):
+        row[layout.inertial], row[layout.payload] = values[:inertial], values[inertial:]
+    for joint, index, value in input_entries(network, motion, dynamics.contacts):
+        rows[joint][index] = rows[joint][index] + value
+    return [value for row in rows for value in row]
+
+
+def pre_sliding(dynamics: Dynamics) -> list[Value]:
+    motion, functions = dynamics.motion, ExpressionFunctions(dynamics.motion)
+    states = [motion.graph.constant(0.0)] * dynamics.network.joint_count
+    for joint, w in dynamics.contacts.items():
+        change = motion.graph.input(f"dq[{joint}]")
+        states[joint] = state_after(w, change, float(dynamics.lengths[joint]), functions)
+    return states
+
+
+@dataclass(frozen=True)
+class RobotFunction:
+    """Function of the C code.
+
+    **Attributes**
+
+    - `name`: of the function, after the robot's.
+    - `summary`: the comment above it.
+    - `inputs`: which of `q`, `qd`, `qdd` it takes.
+    - `output`: name of the array that it fills.
+    - `values`: what it fills it with; None where `Dynamics.rigid_body` cannot say.
+    - `has_friction`: whether it takes states of contacts, too, where there are any.
+    """
+
+    name: str
+    summary: str
+    inputs: tuple[str, ...]
+    output: str
+    values: Callable[[Dynamics], list[Value] | None]
+    has_friction: bool = False
+
+
+OPERATIONS = (
+    RobotFunction(
+        "torque", "Torque of every joint.", ("q", "qd", "qdd"), "tau", torque, has_friction=True
+    ),
+    RobotFunction("mass_matrix", "Mass matrix, row by row.", ("q",), "mass", mass_matrix),
+    RobotFunction("gravity", "Torque of every joint against gravity.", ("q",), "tau", gravity),
+    RobotFunction(
+        "regressor",
+        "What the coefficients are multiplied by: joint by joint, one entry a coefficient.",
+        ("q", "qd", "qdd"),
+        "regressor",
+        regressor,
+        has_friction=True,
+    ),
+)
+"""What the C code of every network offers: a new function is one entry and what computes it."""
+
+STATE_OPERATIONS = (
+    RobotFunction(
+        "pre_sliding",
+        "States of contacts after joints moved by dq. Both states may be one array.",
+        ("dq", "w"),
+        "next",
+        pre_sliding,
+    ),
+)
+"""What it offers where dry friction yields before it slides."""
+
+
+@dataclass(frozen=True)
+class ExportedFunction:
+    """An operation with its inputs and expressions."""
+
+    operation: RobotFunction
+    inputs: tuple[str, ...]
+    graph: Expressions
+    values: list[Value]
+
+    @property
+    def cost(self) -> int:
+        """Additions, multiplications and calls of functions."""
+        return self.graph.cost(self.values)
+
+    @property
+    def is_finite(self) -> bool:
+        """True if all constants are numbers that C can write."""
+        operations = self.graph.operations
+        return all(np.isfinite(operations[i].number) for i in self.graph.needed(self.values))
+
+
+def c_functions(
+    network: CSLC,
+    k: Float[np.ndarray, " coefficients"],
+    lengths: Float[np.ndarray, " joints"],
+) -> list[ExportedFunction]:
+    """Every operation, computed in the way that needs the fewest operations."""
+    ways = list(rigid_bodies(network, k))
+    yields = bool(np.any(lengths))
+    functions: list[ExportedFunction] = []
+    for operation in (*OPERATIONS, *(STATE_OPERATIONS if yields else ())):
+        inputs = (*operation.inputs, *(("w",) if yields and operation.has_friction else ()))
+        candidates: list[ExportedFunction] = []
+        for rigid_body in ways:
+            motion = Motion(network.joint_count)
+            with np.errstate(over="ignore", invalid="ignore"):  # refused below
+                values = operation.values(Dynamics(network, k, motion, rigid_body(motion), lengths))
+            if values is not None:
+                candidates.append(ExportedFunction(operation, inputs, motion.graph, values))
+        function = min(candidates, key=lambda candidate: candidate.cost)
+        if not function.is_finite:
+            raise ValueError(
+                f"{operation.name}: a constant overflows; expected coefficients and lengths whose"
+                " products and reciprocals are finite numbers"
+            )
+        functions.append(function)
+    return functions
+
+
+_WIDTH = 100  # of a line of declarations [characters]
+_COMMENT_WIDTH = 95
+_LONGEST = 90  # of an expression that is written where it is used [characters]
+# What is not a number stays none, as in Python: a friction of 0 would hide a velocity that is lost.
+_DEFINITIONS = {
+    "sign": "static double sign_of(double x)\n{\n"
+    "    return x > 0.0 ? 1.0 : x < 0.0 ? -1.0 : x;\n}\n",
+    "positive": "static double positive_part(double x)\n{\n    return x < 0.0 ? 0.0 : x;\n}\n",
+    "negative": "static double negative_part(double x)\n{\n    return x > 0.0 ? 0.0 : x;\n}\n",
+}
+_CALLS = {
+    "sign": "sign_of({0})",
+    "positive": "positive_part({0})",
+    "negative": "negative_part({0})",
+}
+
+
+def header_file(
+    name: str,
+    network: CSLC,
+    functions: Sequence[ExportedFunction],
+    lengths: Float[np.ndarray, " joints"],
+) -> str:
+    """The declarations: contents of `NAME.h`."""
+    guard = f"{name.upper()}_H"
+    lines = [f"#ifndef {guard}", f"#define {guard}", "", "/*"]
+    lines += [*_about(network), *_about_states(name, network, lengths), "*/", ""]
+    lines += ["#ifdef __cplusplus", 'extern "C" {', "#endif", ""]
+    for function in functions:
+        declaration = f"{_signature(name, network.joint_count, function)};"
+        lines += [f"/* {function.operation.summary} */", declaration, ""]
+    lines += ["#ifdef __cplusplus", "}", "#endif", "", "#endif"]
+    return "\n".join(lines) + "\n"
+
+
+def source_file(
+    name: str,
+    network: CSLC,
+    k: Float[np.ndarray, " coefficients"],
+    functions: Sequence[ExportedFunction],
+) -> str:
+    """The definitions: contents of `NAME.c`."""
+    lines = ["/*", *_about(network), ""]
+    lines += ["Coefficients, in the order of the regressor's columns:", ""]
+    width = max(len(c.name) for c in network.coefficients)
+    for c, value in zip(network.coefficients, k, strict=True):
+        lines.append(f"  {c.name:<{width}} = {value:.17g} {_plain(c.unit)}")
+    lines += ["*/", "", "#include <math.h>", "", f'#include "{name}.h"', ""]
+    lines += sorted({text for function in functions for text in _definitions(function.graph)})
+    for function in functions:
+        lines += [
+            f"/* {function.operation.summary} {function.cost} operations. */",
+            _signature(name, network.joint_count, function),
+            "{",
+            *_unused(function),
+            *_statements(function),
+            "}",
+            "",
+        ]
+    return "\n".join(lines)
+
+
+def _signature(name: str, joints: int, function: ExportedFunction) -> str:
+    operation, size = function.operation, len(function.values)
+    inputs = ", ".join(f"const double {argument}[{joints}]" for argument in function.inputs)
+    text = f"void {name}_{operation.name}({inputs}, double {operation.output}[{size}])"
+    if len(text) <= _WIDTH:
+        return text
+    return text.replace(f", double {operation.output}", f",\n    double {operation.output}")
+
+
+def _definitions(graph: Expressions) -> list[str]:
+    """Functions that C's library does not have and the expressions use."""
+    used = {operation.name for operation in graph.operations}
+    return [text for name, text in _DEFINITIONS.items() if name in used]
+
+
+def _statements(function: ExportedFunction) -> list[str]:
+    output = function.operation.output
+    stores = [(x, f"{output}[{i}] = {{0}};") for i, x in enumerate(function.values)]
+    text = KernelText(function.graph, lambda x: x.text or None, _CALLS, constant="{0!r}")
+    return [f"    {line}" for line in text.nested_statements(stores, _LONGEST)]
+
+
+def _unused(function: ExportedFunction) -> list[str]:
+    """Statements that keep compilers from warning of inputs that nothing depends on."""
+    needed = function.graph.needed(function.values)
+    used = {function.graph.operations[index].text.partition("[")[0] for index in needed}
+    return [f"    (void){name};" for name in function.inputs if name not in used]
+
+
+def _about(network: CSLC) -> list[str]:
+    robot = network.robot
+    kinds = ", ".join(
+        f"{joint} {'revolute [rad, N m]' if kind == 'R' else 'prismatic [m, N]'}"
+        for joint, kind in zip(_joint_names(network), network.joint_kinds, strict=True)
+    )
+    return [
+        f"Inverse dynamics of {_plain(robot.name)}, written by jaxcslc.",
+        "",
+        *_wrapped(f"Joints, in order: {kinds}."),
+        "Positions q, velocities qd [1/s] and accelerations qdd [1/s^2] of every joint.",
+        f"{network.size} coefficients, lengths {network.algebra.lengths}.",
+    ]
+
+
+def _about_states(name: str, network: CSLC, lengths: Float[np.ndarray, " joints"]) -> list[str]:
+    """Explain the use of states of contacts, where there are any."""
+    if not np.any(lengths):
+        return []
+    units = {"R": "rad", "P": "m"}
+    listed = ", ".join(
+        f"{_plain(joint)} {length:.6g} {units[kind]}"
+        for joint, kind, length in zip(
+            network.output_names, network.joint_kinds, lengths, strict=True
+        )
+        if length > 0.0
+    )
+    return [
+        "",
+        *_wrapped(f"Dry friction yields before it slides, over a length of the path: {listed}."),
+        *_wrapped(
+            "The caller keeps its state w, from -1 to 1, an entry for every joint: zeros at first,"
+            f" then what {name}_pre_sliding makes of it whenever joints have moved by dq; of joints"
+            " that turn at constant velocity, qd times the interval. This is exact where each joint"
+            " goes one way."
+        ),
+    ]
+
+
+def _joint_names(network: CSLC) -> list[str]:
+    return [_plain(label) for label in network.output_labels]
+
+
+def _plain(text: str) -> str:
+    """Return text for a comment: what would end it, or is not ASCII, is replaced."""
+    text = text.replace("²", "^2").replace("³", "^3").replace("*/", "* /").replace("\n", " ")
+    text = text.encode("ascii", "replace").decode().replace("/*", "/ *")
+    return re.sub(r"\?(?=\?)", "? ", text)  # of "???/", too, no trigraph is left
+
+
+def _wrapped(text: str) -> list[str]:
+    lines = [""]
+    for word in text.split():
+        if lines[-1] and len(lines[-1]) + len(word) > _COMMENT_WIDTH:
+            lines.append("")
+        lines[-1] += f"{' ' if lines[-1] else ''}{word}"
+    return lines
 
 
 _RESERVED = {

@@ -1,3 +1,5 @@
+"""Entry points: a robot's file with identified parameters, and files of C code."""
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,11 +8,17 @@ import numpy as np
 
 from .._scratch import unfinished
 from .._text_table import text_table
-from ..identification import PhysicalParameters, SystematicError, physical_parameters
-from ..identification.possible import fixed_bodies, moved_bodies, other_masses
-from ..identification.solver import Identification
-from ..motion import Patterns
+from ..bodies import (
+    PhysicalParameters,
+    fixed_bodies,
+    moved_bodies,
+    other_masses,
+    physical_parameters,
+)
+from ..least_squares import Identification
 from ..network import CSLC
+from ..recordings import Patterns
+from ..uncertainty import SystematicError
 from ._c_code import CCode
 from ._write_back import WrittenRobot, random_states, write_robot
 
@@ -73,7 +81,7 @@ class RobotExport:
 
 
 def _unit(column: str) -> str:
-    """Of a column of `PhysicalParameters.to_pandas`."""
+    """Return the unit of a column of `PhysicalParameters.to_pandas`."""
     return {"m": "kg", "r": "m"}.get(column[0], "kg m²") if column != "motor_inertia" else "kg m²"
 
 

@@ -1,12 +1,21 @@
+"""Edits of URDF, MJCF and TOML files that change parameters and nothing else.
+
+Motor inertias of a URDF are kept in a TOML file next to it.
+"""
+
+import contextlib
 import math
+import re
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float
 
-from ..identification import PhysicalParameters
-from ..inertia import body_of, link_of, pseudo_inertia
+from .._toml_document import toml_document
+from ..bodies import PhysicalParameters, body_of, link_of, pseudo_inertia
 from ..manipulator import (
     Element,
     LinkParameters,
@@ -16,7 +25,200 @@ from ..manipulator import (
     parse_xml,
     seen_from,
 )
-from ._xml_edits import XmlEdits
+
+
+_HEADER = """\
+# Motor inertias of {name}, for which URDF has no element: what the motor adds to the inertia of its
+# joint, seen at the joint [kg m², of a prismatic joint kg]. MJCF calls it armature, Pinocchio
+# model.armature. The bodies of {name} are those beside them.
+robot = "{name}"
+
+[motor_inertia]
+"""
+
+
+def motor_file(robot: str | Path) -> Path:
+    """The file of a URDF's motor inertias: beside it, `.motors.toml` in place of its suffix.
+
+    >>> from jaxcslc.export import motor_file
+    >>> motor_file("build/arm_identified.urdf").name
+    'arm_identified.motors.toml'
+    """
+    path = Path(robot)
+    return path.with_name(f"{path.stem}.motors.toml")
+
+
+def write_motor_inertias(robot: str | Path, inertias: Mapping[str, float]) -> Path:
+    """Writes the motor inertias of a URDF's joints beside it, as TOML.
+
+    **Arguments**
+
+    - `robot`: the URDF.
+    - `inertias`: by joint [kg m², of prismatic joints kg].
+
+    **Returns** the file: `motor_file(robot)`.
+
+    **Raises**
+
+    - `OSError`: it cannot be written.
+
+    >>> import tempfile
+    >>> from jaxcslc.export import read_motor_inertias, write_motor_inertias
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = write_motor_inertias(Path(folder) / "arm.urdf", {"elbow": 0.25})
+    ...     read_motor_inertias(path)
+    {'elbow': 0.25}
+    """
+    path, name = motor_file(robot), _quoted(Path(robot).name)
+    lines = [f'"{_quoted(joint)}" = {float(value)!r}' for joint, value in inertias.items()]
+    text = _HEADER.format(name=name) + "\n".join(lines) + "\n"
+    scratch = path.with_name(f".{path.name}.part")
+    try:
+        scratch.write_text(text, encoding="utf-8")
+        scratch.replace(path)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+    finally:
+        with contextlib.suppress(OSError):
+            scratch.unlink(missing_ok=True)
+    return path
+
+
+def read_motor_inertias(path: str | Path) -> dict[str, float]:
+    """Read what `write_motor_inertias` wrote, by joint [kg m², of prismatic joints kg].
+
+    **Arguments**
+
+    - `path`: of the file.
+
+    **Returns** the inertias.
+
+    **Raises**
+
+    - `ValueError`: the file is no such file; the message names file and entry.
+    - `OSError`: it cannot be read.
+
+    >>> import tempfile
+    >>> from jaxcslc.export import read_motor_inertias
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "arm.motors.toml"
+    ...     _ = path.write_text("[motor_inertia]\\nelbow = 0.25\\n")
+    ...     read_motor_inertias(path)
+    {'elbow': 0.25}
+    """
+    document = toml_document(path, "file of motor inertias", ValueError)
+    table = document.get("motor_inertia")
+    if not isinstance(table, dict):
+        raise ValueError(f"{path}: expected a table [motor_inertia] of numbers by joint")
+    for joint, value in table.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not value >= 0:
+            raise ValueError(f"{path}, motor_inertia, {joint}: expected 0 or more, got {value!r}")
+    return {joint: float(value) for joint, value in table.items()}
+
+
+def _quoted(text: str) -> str:
+    """A text as TOML has it between quotes."""
+    escapes = {'"': '\\"', "\\": "\\\\"}
+    return "".join(
+        escapes.get(letter, letter if letter.isprintable() else f"\\u{ord(letter):04x}")
+        for letter in text
+    )
+
+
+_ATTRIBUTE = re.compile(rb"""(\s+)([^\s=/>"']+)\s*=\s*("[^"]*"|'[^']*')""")
+_START = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""")
+
+
+@dataclass(eq=False)
+class _Change:
+    element: Element
+    attributes: dict[str, str] = field(default_factory=dict[str, str])
+    removed: set[str] = field(default_factory=set[str])
+    children: list[bytes] = field(default_factory=list[bytes])
+
+
+class XmlEdits:
+    """Changes of an XML text that leave all other bytes as they are.
+
+    Attributes are set, taken away or added in their element's tag; new elements go before an
+    element's first child. Comments, whitespace, quotes and the order of attributes stay.
+
+    >>> from jaxcslc.manipulator import parse_xml
+    >>> text = b'<a>  <!-- as it was --> <b x = "1"/></a>'
+    >>> edits = XmlEdits(text)
+    >>> edits.set(parse_xml(text, "example").children[0], {"x": "2", "y": "3"})
+    >>> edits.text()
+    b'<a>  <!-- as it was --> <b x = "2" y="3"/></a>'
+    """
+
+    def __init__(self, text: bytes) -> None:
+        self._text = text
+        self._changes: dict[int, _Change] = {}
+
+    def set(
+        self, element: Element, attributes: Mapping[str, str], *, without: tuple[str, ...] = ()
+    ) -> None:
+        """Give an element attributes, and take others away."""
+        change = self._changes.setdefault(element.start, _Change(element))
+        change.attributes |= attributes
+        change.removed |= set(without)
+
+    def insert(self, element: Element, child: str) -> None:
+        """A new first child, on a separate line if the others are; its further lines are
+        indented like its first."""
+        change = self._changes.setdefault(element.start, _Change(element))
+        change.children.append(child.encode())
+
+    def text(self) -> bytes:
+        """The text with all changes made."""
+        text = self._text
+        for start in sorted(self._changes, reverse=True):
+            change = self._changes[start]
+            tag = _START.match(text, start)
+            assert tag is not None
+            new = _with_attributes(tag[0], change)
+            if change.children:
+                new = self._with_children(new, change)
+            text = text[:start] + new + text[tag.end() :]
+        return text
+
+    def _with_children(self, tag: bytes, change: _Change) -> bytes:
+        outer = _indentation(self._text, change.element.start)
+        inner = outer + b"  "
+        if change.element.children:
+            inner = _indentation(self._text, change.element.children[0].start)
+        lines = b"".join(inner + child.replace(b"\n", inner) for child in change.children)
+        if tag.endswith(b"/>"):
+            name = change.element.tag.encode()
+            return tag[:-2].rstrip() + b">" + lines + outer + b"</" + name + b">"
+        return tag + lines
+
+
+def _with_attributes(tag: bytes, change: _Change) -> bytes:
+    new = {name.encode(): value.encode() for name, value in change.attributes.items()}
+    removed = {name.encode() for name in change.removed}
+
+    def changed(match: re.Match[bytes]) -> bytes:
+        name, quoted = match[2], match[3]
+        if name in removed:
+            return b""
+        if name not in new:
+            return match[0]
+        return match[0][: -len(quoted)] + quoted[:1] + new.pop(name) + quoted[:1]
+
+    tag = _ATTRIBUTE.sub(changed, tag)
+    end = b"/>" if tag.endswith(b"/>") else b">"
+    body = tag[: -len(end)]
+    bare = body.rstrip()
+    added = b"".join(b' %s="%s"' % pair for pair in new.items())
+    return bare + added + body[len(bare) :] + end
+
+
+def _indentation(text: bytes, start: int) -> bytes:
+    """Line break and spaces before an element; empty if it does not begin a line."""
+    before = text[:start]
+    space = before[len(before.rstrip()) :]
+    return space[space.rfind(b"\n") :] if b"\n" in space else b""
 
 
 _FULL = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")

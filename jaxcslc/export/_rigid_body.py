@@ -10,16 +10,17 @@ import numpy as np
 from jaxtyping import Float
 
 from .._rank import numerical_rank
+from ..bodies import body_map
 from ..codegen import Motion, Value
 from ..derivation import BODY
-from ..inertia import body_map
 from ..manipulator import Manipulator
-from ..network import CSLC
-from ..network.terms import JointProjection, ProjectedTerm
-from ..network.terms.rigid_body import (
+from ..network import (
+    CSLC,
     PARTS,
     AbstractExpressedBodies,
     ClosedForm,
+    JointProjection,
+    ProjectedTerm,
     RecursiveBodies,
     RigidBodyRecursion,
 )

@@ -1,3 +1,5 @@
+"""Copy of a robot's file with physical parameters, read again and compared."""
+
 import contextlib
 import dataclasses
 from collections.abc import Generator
@@ -8,11 +10,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..identification import PhysicalParameters
+from ..bodies import PhysicalParameters
 from ..manipulator import Manipulator, RobotError, Source, load_robot
 from ..network import CSLC, derive
-from ._motor_file import motor_file, read_motor_inertias, write_motor_inertias
-from ._parameter_files import STORED, with_parameters
+from ._parameter_files import (
+    STORED,
+    motor_file,
+    read_motor_inertias,
+    with_parameters,
+    write_motor_inertias,
+)
 
 
 States = tuple[
@@ -178,7 +185,10 @@ def _named(scratch: Path, path: Path) -> Generator[None]:
 
 
 def _stored(network: CSLC, filed: Manipulator) -> tuple[str, ...]:
-    """What the file can store: for TOML, kinds of every joint of both the network and the file."""
+    """Return the kinds of parameters that the file can store.
+
+    For TOML, these are the kinds of every joint of both the network and the file.
+    """
     assert filed.source is not None
     kinds = STORED[filed.source.format]
     if filed.source.format != "toml":

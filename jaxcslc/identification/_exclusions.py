@@ -9,14 +9,12 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, NamedTuple, get_args
 
-from ..motion import Recording
+from ..bodies import Choice, Prior
+from ..least_squares import Previous, Settings
+from ..likelihood import MaximumLikelihood
 from ..network import CSLC
-from ._settings import Settings
-from .likelihood import MaximumLikelihood
-from .possible import Choice
-from .prior import Prior
-from .selection import PRE_SLIDING
-from .solver import Previous
+from ..recordings import Recording
+from ..selection import PRE_SLIDING
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

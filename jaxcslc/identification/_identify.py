@@ -16,8 +16,18 @@ from typing import Any, Literal
 import numpy as np
 
 from .._processes import can_fork, computed_beside
-from ..motion import Recording
+from ..bodies import Choice, Prior
+from ..checks import AGREEMENT_KINDS, DataCheck, check
+from ..friction import along_motion
+from ..instruments import HorizonError, file_coefficients, prediction_error
+from ..least_squares import Previous, Settings, computed_on_host
+from ..likelihood import MaximumLikelihood
 from ..network import CSLC
+from ..recordings import Recording
+from ..report import Report, compare, degree_of_excitation, fit_warnings
+from ..selection import PRE_SLIDING
+from ..uncertainty import SeveralFit
+from ._estimator import AbstractEstimator, Judged
 from ._exclusions import Request, check_request
 from ._identify_friction import (
     ChosenFriction,
@@ -26,18 +36,7 @@ from ._identify_friction import (
     friction_states,
 )
 from ._problem import TRAINING, VALIDATION, prepare, with_friction, without_lag
-from ._settings import Settings
-from .checks import AGREEMENT_KINDS, DataCheck, check
-from .estimators import ESTIMATORS, AbstractEstimator, Judged
-from .friction import along_motion
-from .likelihood import MaximumLikelihood
-from .possible import Choice
-from .prediction import HorizonError, file_coefficients, prediction_error
-from .prior import Prior
-from .report import Report, compare, degree_of_excitation, fit_warnings
-from .selection import PRE_SLIDING
-from .several import SeveralFit
-from .solver import Previous, computed_on_host
+from ._registry import ESTIMATORS
 
 
 # From here on recordings are checked beside what follows: of shorter ones NumPy's operations take
@@ -317,7 +316,7 @@ def _checked(request: Request, step: Callable[[str], None] = lambda words: None)
 
 
 def _one_message_each(data_check: DataCheck, several: SeveralFit) -> tuple[DataCheck, SeveralFit]:
-    """One message of each disagreement: the test says which recordings, the check the cause.
+    """Merge the messages of each disagreement: the test says which recordings, the check the cause.
 
     The check compares each recording with the first, so that a first one that differs from all
     others has their cause.

@@ -6,15 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..motion import Patterns
-from ..network import CSLC
-from ..network.terms import DIRECTIONAL_LOAD, LOAD
+from ..friction import PreSlidingFit, fit_pre_sliding, fit_slopes
+from ..least_squares import LeastSquares
+from ..network import CSLC, DIRECTIONAL_LOAD, LOAD
+from ..recordings import Patterns
+from ..selection import FRICTION_CANDIDATES, PRE_SLIDING, FrictionChoice, choose_friction
+from ._estimator import Judged
 from ._exclusions import LOAD_FRICTION, Request, excluded
+from ._maximum_likelihood import within_memory
 from ._problem import ChosenSettings, basic_settings, select_settings
-from .estimators import Judged, within_memory
-from .friction import PreSlidingFit, fit_pre_sliding, fit_slopes
-from .selection import FRICTION_CANDIDATES, PRE_SLIDING, FrictionChoice, choose_friction
-from .solver import LeastSquares
 
 
 # Joints of which pre-sliding is kept for nothing. Not divided by the number of kinds that are
@@ -150,7 +150,7 @@ def _tried(
 
 
 def _note_of(states: PreSlidingFit, *, fitted: bool) -> str:
-    """What has states of dry friction, and what has it as a step."""
+    """Describe where dry friction has states, and where it is a step."""
     joints = ", ".join(states.joint_names)
     if fitted:
         return (

@@ -13,7 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..motion import (
+from ..bodies import Known
+from ..friction import LoadFit, SlopeFit, fit_load, fit_slopes
+from ..least_squares import Identification, LeastSquares, Settings, static_friction_joints
+from ..network import CSLC
+from ..recordings import (
     Derivatives,
     Patterns,
     Preparation,
@@ -22,21 +26,16 @@ from ..motion import (
     joined_patterns,
     static_fractions,
 )
-from ..network import CSLC
-from ._exclusions import Request
-from ._settings import Settings, static_friction_joints
-from .friction import LoadFit, SlopeFit, fit_load, fit_slopes
-from .prior import Known
-from .selection import (
+from ..selection import (
     Candidates,
-    Section,
+    Segment,
     Selection,
     choose_settings,
     section_of,
     sections_of,
     selection_with_motion,
 )
-from .solver import Identification, LeastSquares
+from ._exclusions import Request
 
 
 # Stretches that settings are chosen by, and how many samples each has at least.
@@ -124,7 +123,7 @@ class Problem:
     validation: PreparedRecording | None
     settings: Settings
     part: PreparedRecording | None = None
-    section: Section | None = None
+    section: Segment | None = None
     selection: Selection | None = None
     slopes: SlopeFit | None = None
     load: LoadFit | None = None
@@ -341,7 +340,7 @@ def basic_settings(request: Request, chosen: ChosenSettings | None) -> Settings:
 
 def _within_memory(
     request: Request,
-) -> tuple[Mapping[str, Recording], Section | None, list[str]]:
+) -> tuple[Mapping[str, Recording], Segment | None, list[str]]:
     """Training recordings that are fitted, the part of a single one that fits are judged on (None
     for all of it), and sentences about several that were cut."""
     training, memory = request.training, request.memory

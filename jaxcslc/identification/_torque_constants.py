@@ -1,3 +1,5 @@
+"""Torque constants of drives, from recordings with known loads."""
+
 import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -5,18 +7,18 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..motion import Patterns, Recording
-from ..network import CSLC
-from ._problem import recording_named
-from ._settings import Settings
-from .solver import (
+from ..least_squares import (
     Equations,
     Identification,
     LeastSquares,
+    Settings,
     Unknowns,
     gauss_newton,
     regressor_of,
 )
+from ..network import CSLC
+from ..recordings import Patterns, Recording
+from ._problem import recording_named
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -56,7 +58,7 @@ class TorqueConstants:
 
     @property
     def standard_error(self) -> Float[np.ndarray, " joints"]:
-        """Of the constants; infinite where the recordings do not determine one."""
+        """Standard error of the constants; infinite where the recordings do not determine one."""
         return np.asarray(self.fit.standard_error)[-len(self.constants) :]
 
     def confidence_interval(self, level: float = 0.95) -> Float[np.ndarray, "joints 2"]:
@@ -71,7 +73,7 @@ class TorqueConstants:
         return tuple(name for name, u in zip(self.joint_names, unclear, strict=True) if u)
 
     def rows(self, level: float = 0.95) -> list[dict[str, Any]]:
-        """One row a joint: constant, standard error and interval."""
+        """Return one row per joint: constant, standard error and interval."""
         low, high = self.confidence_interval(level).T
         n = len(self.joint_names)
         units = (self.unit,) * n if isinstance(self.unit, str) else self.unit
@@ -194,7 +196,7 @@ def fit_torque_constants(
 
 
 def _units(torques: Sequence[str]) -> str | tuple[str, ...]:
-    """Of constants: one for all joints, or one each of an arm with prismatic joints."""
+    """Return the units of constants: one for all joints, or one each with prismatic joints."""
     units = tuple(f"{unit}/A" for unit in torques)
     return units[0] if len(set(units)) == 1 else units
 
@@ -217,7 +219,7 @@ class CurrentEquations:
     def of(
         cls, network: CSLC, patterns: Patterns, mass: float, cutoff: float | None
     ) -> "CurrentEquations":
-        """Of a network with payload that carries this mass, or nothing."""
+        """Return the equations of a network with payload that carries this mass, or nothing."""
         whole = np.array(regressor_of(network, patterns))
         payload = network.layout.payload
         (mass_index,) = network.layout.indices("pm").tolist()
@@ -238,7 +240,7 @@ class CurrentEquations:
     def power(
         self, k: Float[np.ndarray, " unknowns"], columns: Int[np.ndarray, " columns"]
     ) -> float:
-        """What the torques of some coefficients take from the motion, summed over samples."""
+        """Return the power that torques of some coefficients take from the motion, summed up."""
         torque = self.regressor[:, :, columns] @ k[columns]
         fitted = np.asarray(self.patterns.mask)
         return float(np.sum(np.where(fitted, torque * np.asarray(self.patterns.qd), 0.0)))

@@ -1,26 +1,45 @@
+"""Description of a robot: kinematics, inertial terms, friction model, limits; readers of files.
+
+`load_robot` reads TOML, URDF or MJCF; `Manipulator.from_modified_dh` takes rows of parameters.
+Either gives a `Manipulator`, all that `jaxcslc.derivation` needs to know of a robot.
+
+     TOML ------------------------------------------+
+     URDF, MJCF --> MuJoCo --> part --> placement --+--> Manipulator --> derivation
+                                        (mod. DH)
+
+Modules, in reading order:
+
+- `_joint`: one row of modified Denavit-Hartenberg parameters, lengths, numberings.
+- `_link_parameters`: inertial terms of a link, and measurable parameters of links and motors.
+- `_friction`: names of friction terms, coupled joints, and their checks.
+- `_source`: the file that a robot was read from, joint limits, joints that follow others.
+- `_manipulator`: the robot itself.
+- `_placement`: modified Denavit-Hartenberg rows of joints with any axes.
+- `files`: readers of robot files, and the bundled robots.
+"""
+
 from ._errors import RobotError as RobotError
 from ._friction import (
     FRICTION_TERMS as FRICTION_TERMS,
     STATIC_SLOPE as STATIC_SLOPE,
     Coupling as Coupling,
 )
-from ._inertia import LinkInertia as LinkInertia
-from ._joint import Joint as Joint, Length as Length
+from ._joint import (
+    Joint as Joint,
+    Length as Length,
+    Numbering as Numbering,
+    Subnumbering as Subnumbering,
+)
 from ._link_parameters import (
+    LinkInertia as LinkInertia,
     LinkParameters as LinkParameters,
     fixed_together as fixed_together,
     motor_inertia as motor_inertia,
     seen_from as seen_from,
 )
 from ._manipulator import Manipulator as Manipulator
-from ._numbering import Numbering as Numbering, Subnumbering as Subnumbering
 from ._placement import Axis as Axis, modified_dh as modified_dh
-from ._source import (
-    JointLimits as JointLimits,
-    Mimic as Mimic,
-    Mimics as Mimics,
-    Source as Source,
-)
+from ._source import JointLimits as JointLimits, Mimic as Mimic, Mimics as Mimics, Source as Source
 from .files import (
     Element as Element,
     load_robot as load_robot,
@@ -30,3 +49,34 @@ from .files import (
     read_xml as read_xml,
     tx40 as tx40,
 )
+
+
+__all__ = [
+    "FRICTION_TERMS",
+    "STATIC_SLOPE",
+    "Axis",
+    "Coupling",
+    "Element",
+    "Joint",
+    "JointLimits",
+    "Length",
+    "LinkInertia",
+    "LinkParameters",
+    "Manipulator",
+    "Mimic",
+    "Mimics",
+    "Numbering",
+    "RobotError",
+    "Source",
+    "Subnumbering",
+    "fixed_together",
+    "load_robot",
+    "modified_dh",
+    "motor_inertia",
+    "panda",
+    "parse_xml",
+    "puma560",
+    "read_xml",
+    "seen_from",
+    "tx40",
+]

@@ -1,3 +1,6 @@
+"""Error class for robot descriptions that cannot be used."""
+
+
 class RobotError(ValueError):
     """A robot description that cannot be read, is contradictory, or is incomplete.
 

@@ -1,3 +1,8 @@
+"""Friction models of joints: names of the terms, coupled joints, and checks.
+
+The formulas of the terms are in `jaxcslc.network.terms`.
+"""
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -43,7 +48,7 @@ class Coupling(NamedTuple):
 
 
 def check_friction(terms: Sequence[str], where: str) -> None:
-    """Checks the kinds of a friction model.
+    """Check the kinds of a friction model.
 
     **Raises**
 
@@ -64,7 +69,7 @@ def check_friction(terms: Sequence[str], where: str) -> None:
 def check_joint_friction(
     terms_of_joints: Sequence[Sequence[str] | None] | None, joints: int, where: str
 ) -> None:
-    """Checks the friction models of single joints.
+    """Check the friction models of single joints.
 
     **Raises**
 
@@ -83,7 +88,7 @@ def check_joint_friction(
 
 
 def check_slopes(slopes: Sequence[float] | None, joints: int, where: str) -> None:
-    """Checks slopes of static friction.
+    """Check slopes of static friction.
 
     **Raises**
 

@@ -1,10 +1,21 @@
+"""One row of modified Denavit-Hartenberg parameters, with its lengths, angles and numberings.
+
+`modified_dh_joints` makes joints of rows and checks them. `joint_table` is the pandas table of
+`Manipulator.to_pandas` (thesis 2.6.1).
+"""
+
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
+from .._environment import require
 from ._errors import RobotError
+
+
+if TYPE_CHECKING:
+    from ._manipulator import Manipulator
 
 
 JointKind = Literal["R", "P"]
@@ -37,13 +48,13 @@ class Length:
 
     @property
     def is_zero(self) -> bool:
-        """Whether it is zero by the choice of frames."""
+        """True if the length is zero by the choice of frames."""
         return self.symbol is None and self.value == 0.0
 
 
 @dataclass(frozen=True)
 class Joint:
-    """One row of modified Denavit-Hartenberg parameters (thesis 2.6.1, Eqn. 2.6-1).
+    """Row of modified Denavit-Hartenberg parameters (thesis 2.6.1, Eqn. 2.6-1).
 
     The frame of link i follows from that of its parent by
     `Rot(z, gamma) Trans(z, b) Rot(x, alpha) Trans(x, a) Trans(z, d) Rot(z, theta)`. The joint
@@ -172,7 +183,7 @@ def length_table(values: Mapping[str, object], where: str) -> dict[str, float]:
 
 
 def unused_lengths(values: Mapping[str, float], joints: Iterable[Joint], where: str) -> None:
-    """Checks that joints use all named lengths.
+    """Check that joints use all named lengths.
 
     **Raises**
 
@@ -242,3 +253,60 @@ def gravity_vector(gravity: Sequence[float | int], name: str) -> tuple[float, fl
     if not abs(x) + abs(y) + abs(z) < float("inf"):
         raise RobotError(f"robot {name!r}: gravity must be finite, got {gravity!r}")
     return x, y, z
+
+
+def joint_table(robot: "Manipulator") -> Any:
+    """Return the table of a robot, one row per joint: see `Manipulator.to_pandas`."""
+    pandas = require("pandas", "tables")
+
+    rows: list[dict[str, Any]] = []
+    for i, joint in enumerate(robot.joints):
+        row: dict[str, Any] = {"kind": joint.kind, "parent": robot.parents[i] + 1}
+        row |= {name: getattr(joint, name) for name in ("alpha", "theta", "gamma")}
+        row |= {letter: length.value for letter, _, length in joint.lengths}
+        if robot.source is not None:
+            row |= {"joint of file": robot.source.joints[i], "body": robot.source.links[i]}
+        if robot.links is not None:
+            link = robot.links[i]
+            row |= {"mass": float(link.mass), "motor inertia": float(link.motor_inertia)}
+            row |= {f"r{axis}": float(link.centre_of_gravity[a]) for a, axis in enumerate("xyz")}
+            row |= {
+                f"I{'xyz'[a]}{'xyz'[b]}": float(link.inertia[a, b])
+                for a in range(3)
+                for b in range(a, 3)
+            }
+        for term in ("viscous", "dry"):
+            values = getattr(robot, term)
+            row |= {} if values is None else {term: values[i]}
+        rows.append(row)
+    return pandas.DataFrame(rows, index=range(1, robot.joint_count + 1)).rename_axis("joint")
+
+
+@dataclass(frozen=True)
+class Subnumbering:
+    """The published order of the inputs and coefficients of a subnetwork.
+
+    **Attributes**
+
+    - `inputs`: products of sines and cosines as printed (`"c23*s4*c5"`).
+    - `coefficients`: one link of the publication for every coefficient: `(input, column, multiple)`
+      means that the weight from that input to that element (`(1, 2)` for M12, `(2,)` for G2) is
+      `multiple` times the coefficient.
+    """
+
+    inputs: tuple[str, ...]
+    coefficients: tuple[tuple[str, tuple[int, ...], float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Numbering:
+    """A published numbering of a robot's inputs and coefficients, such as Appendix B.
+
+    The derivation does not need one: it only permutes and scales the algebra's inputs and
+    coefficients, and raises an error for a numbering that does not match them one to one.
+    """
+
+    source: str
+    mass: Subnumbering
+    velocity: Subnumbering
+    gravity: Subnumbering

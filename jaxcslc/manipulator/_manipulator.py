@@ -1,3 +1,9 @@
+"""Robot as a chain or tree of rigid links, with its friction model and its file.
+
+A `Manipulator` is immutable. Its `with_...` methods return changed copies. Read with `_joint`,
+`_link_parameters`, `_friction` and `_source`, of whose objects it is made.
+"""
+
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,11 +22,16 @@ from ._friction import (
     check_slopes,
     couplings,
 )
-from ._inertia import InertiaForm, LinkInertia
-from ._joint import Joint, Length, gravity_vector, modified_dh_joints
-from ._joint_table import joint_table
-from ._link_parameters import LinkParameters
-from ._numbering import Numbering, Subnumbering
+from ._joint import (
+    Joint,
+    Length,
+    Numbering,
+    Subnumbering,
+    gravity_vector,
+    joint_table,
+    modified_dh_joints,
+)
+from ._link_parameters import InertiaForm, LinkInertia, LinkParameters
 from ._source import JointLimits, Source
 
 
@@ -114,7 +125,7 @@ class Manipulator:
 
     @property
     def parents(self) -> tuple[int, ...]:
-        """For each joint the one whose link carries it, counted from 0; -1 for the base."""
+        """Index, from 0, of the joint whose link carries each joint; -1 for the base."""
         return tuple(
             i - 1 if joint.parent is None else joint.parent - 1
             for i, joint in enumerate(self.joints)
@@ -137,7 +148,7 @@ class Manipulator:
 
     @property
     def joint_limits(self) -> tuple[JointLimits, ...]:
-        """What the robot's file says that each joint can do; infinite where it says nothing.
+        """Limits of each joint according to the robot's file; infinite where it states none.
 
         >>> Manipulator.from_modified_dh([(0, 0, 0, 0)]).joint_limits[0].speed
         inf
@@ -147,7 +158,7 @@ class Manipulator:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What of the robot's file was not taken as it stands, a sentence each.
+        """Notes on all that was not taken from the robot's file as it stands, one sentence each.
 
         >>> Manipulator.from_modified_dh([(0, 0, 0, 0)]).notes
         ()
@@ -156,12 +167,12 @@ class Manipulator:
 
     @property
     def has_joint_names(self) -> bool:
-        """Whether the robot's file names a joint."""
+        """True if the robot's file names a joint."""
         return self.joint_names != tuple(f"joint {i}" for i in range(1, self.joint_count + 1))
 
     @property
     def has_all_lengths(self) -> bool:
-        """Whether every length has a value, as numeric lengths need."""
+        """True if every length has a value, as numeric lengths need."""
         lengths = (length for joint in self.joints for _, _, length in joint.lengths)
         return all(length.value is not None for length in lengths)
 
@@ -228,7 +239,7 @@ class Manipulator:
         )
 
     def with_gravity(self, gravity: Sequence[float | int]) -> "Manipulator":
-        """The same robot under another gravity vector in its base frame [m/s²].
+        """Return the robot with another gravity vector in its base frame [m/s²].
 
         A published numbering of gravity coefficients holds along the axis that it was made for;
         for gravity along others it is dropped.
@@ -260,7 +271,7 @@ class Manipulator:
         return tuple(term for term in order if term in used)
 
     def with_friction(self, *terms: str, joint: int | None = None) -> "Manipulator":
-        """The same robot with another friction model, as in `with_friction("viscous", "dry")`.
+        """Return the robot with other friction terms, as in `with_friction("viscous", "dry")`.
 
         For all joints, or for one of them, counted from 1. Terms are listed in
         `docs/friction.md`; **raises** `RobotError` for those that are unknown or say the same.
@@ -285,7 +296,7 @@ class Manipulator:
         return dataclasses.replace(self, joint_friction=tuple(per_joint))
 
     def with_coupling(self, *pairs: Sequence[int | float]) -> "Manipulator":
-        """The same robot, these pairs of joints coupled: `with_coupling((5, 6))`, from 1.
+        """Return the robot with pairs of joints coupled: `with_coupling((5, 6))`, counted from 1.
 
         A pair shares the inertia and friction of a shaft that turns by q5 + q6, or by
         q5 + ratio q6 where the pair has a third number. No pairs take couplings away.
@@ -298,11 +309,11 @@ class Manipulator:
         return dataclasses.replace(self, coupled=couplings(pairs, self.kinds, where))
 
     def with_static_slopes(self, slopes: Sequence[float]) -> "Manipulator":
-        """The same robot with these slopes of static friction, one a joint [s/rad or s/m]."""
+        """Return the robot with slopes of static friction, one per joint [s/rad or s/m]."""
         return dataclasses.replace(self, static_slopes=tuple(float(slope) for slope in slopes))
 
     def with_inertia(self, form: InertiaForm, *, motor_inertia: bool = True) -> "Manipulator":
-        """The same robot with `form` for every link, nothing assumed zero or equal."""
+        """Return the robot with `form` for every link and nothing assumed zero or equal."""
         return dataclasses.replace(
             self,
             inertia=tuple(LinkInertia(form, motor=motor_inertia) for _ in self.joints),
@@ -316,7 +327,7 @@ class Manipulator:
         mass: float | None = None,
         centre_of_gravity: Sequence[float] | Float[Array | np.ndarray, " axes"] | None = None,
     ) -> "Manipulator":
-        """The same robot with numbers for a link's mass, or centre of gravity, in the algebra.
+        """Return the robot with numbers in the algebra for a link's mass or centre of gravity.
 
         What is accurately known replaces symbols (thesis C.1.2). Coefficients of known masses alone
         are numbers (`CSLC.known_values`). A known centre of gravity makes first moments multiples

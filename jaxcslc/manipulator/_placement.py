@@ -1,3 +1,9 @@
+"""Modified Denavit-Hartenberg rows of joints whose axes are given in space.
+
+The common normal of consecutive axes gives each row (Khalil and Kleinfinger 1986). Readers of
+URDF and MJCF files need this; see `files._load`.
+"""
+
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -85,7 +91,7 @@ def modified_dh(axes: Sequence[Axis]) -> tuple[tuple[Joint, ...], tuple[Pose, ..
 
 
 def _straightened(axes: Sequence[Axis]) -> list[Axis]:
-    """Directions that are almost parallel to their parent's made parallel."""
+    """Return the axes with directions almost parallel to their parent's made parallel."""
     straight: list[Axis] = []
     for axis in axes:
         before = straight[axis.parent].direction if axis.parent >= 0 else np.array([0.0, 0.0, 1.0])
@@ -97,7 +103,10 @@ def _straightened(axes: Sequence[Axis]) -> list[Axis]:
 
 
 def _common_normal(frame: Pose, axis: Axis) -> _Normal:
-    """From the z axis of a frame to a joint's axis; where it is not unique, from the origin."""
+    """Compute the common normal from the z axis of a frame to a joint's axis.
+
+    Where it is not unique, it starts at the frame's origin.
+    """
     origin, x, z = frame[:3, 3], frame[:3, 0], frame[:3, 2]
     cross, between = np.cross(z, axis.direction), axis.origin - origin
     sine = float(np.linalg.norm(cross))
@@ -148,7 +157,7 @@ def _pose(origin: Vector, x: Vector, z: Vector) -> Pose:
 
 
 def _right(angle: float) -> float:
-    """Within half a turn of zero, and exact where it almost is a multiple of 90°."""
+    """Return the angle within half a turn of zero, exact where it almost is a multiple of 90°."""
     angle = math.remainder(angle, 2 * math.pi)
     quarter_turns = round(angle / (math.pi / 2))
     if abs(angle - quarter_turns * math.pi / 2) < _ANGLE_TOLERANCE:

@@ -1,3 +1,5 @@
+"""Origin of a robot: its file, the limits that the file states, and joints that follow others."""
+
 import math
 from dataclasses import dataclass
 from typing import Literal
@@ -14,7 +16,7 @@ Mimics = Literal["fix", "couple"]
 
 @dataclass(frozen=True)
 class JointLimits:
-    """What a robot's file says a joint can do; infinite where it says nothing.
+    """Limits of a joint according to the robot's file; infinite where the file states none.
 
     **Attributes**
 

@@ -1,21 +1,84 @@
+"""The CSLC: inverse dynamics as a sum of terms, each linear in coefficients of its own.
+
+`derive` takes a robot and gives a `CSLC`. Its `torque`, `regressor` and `mass_matrix` are pure
+functions of JAX; `columns` also computes NumPy's arrays without compilation.
+
+     Manipulator --> derivation --> Algebra --> terms --> CSLC
+                                                            |
+     k, q, qd, qdd  ------------------------------------>  torque = regressor @ k
+
+Modules, in reading order:
+
+- `_derive`: `derive`, which chooses lengths and evaluator.
+- `_linear_network`: what any network that is linear in its coefficients offers.
+- `_term_sum`: the inverse dynamics of a robot as a sum of terms.
+- `_cslc`: the network of one robot, and its variants (payload, other friction laws).
+- `_layout`: which entries of `k` belong to which term, and their values for known links.
+- `terms`: rigid body, friction, springs, coupled joints, payload.
+- `_closed_form`, `_recursion`, `_rigid_body`: the rigid body as expressions, for generated code.
+"""
+
 from ._cslc import CSLC as CSLC
 from ._derive import derive as derive
 from ._layout import Layout as Layout
 from ._linear_network import AbstractLinearNetwork as AbstractLinearNetwork
 from ._term_sum import AbstractTermSum as AbstractTermSum
 from .terms import (
+    DIRECTIONAL_LOAD as DIRECTIONAL_LOAD,
     JAX_FUNCTIONS as JAX_FUNCTIONS,
+    LOAD as LOAD,
+    PARTS as PARTS,
     PAYLOAD as PAYLOAD,
+    AbstractExpressedBodies as AbstractExpressedBodies,
     AbstractFunctions as AbstractFunctions,
     AbstractInputTerm as AbstractInputTerm,
     AbstractJointLaw as AbstractJointLaw,
     AbstractManipulatorTerm as AbstractManipulatorTerm,
     AbstractTerm as AbstractTerm,
+    ClosedForm as ClosedForm,
+    Coefficients as Coefficients,
+    Columns as Columns,
+    CoupledTerm as CoupledTerm,
+    ExpressionFunctions as ExpressionFunctions,
+    JointProjection as JointProjection,
+    Joints as Joints,
     JointTerm as JointTerm,
     LawProperties as LawProperties,
+    LoadedRigidBody as LoadedRigidBody,
+    Matrices as Matrices,
+    ProjectedTerm as ProjectedTerm,
+    RecursiveBodies as RecursiveBodies,
+    Regressor as Regressor,
     RigidBodyRecursion as RigidBodyRecursion,
     RigidBodyTables as RigidBodyTables,
+    Rows as Rows,
     StaticFriction as StaticFriction,
     carrier as carrier,
+    code as code,
     input_rows as input_rows,
+    nested as nested,
+    term_entries as term_entries,
 )
+
+
+__all__ = [
+    "CSLC",
+    "JAX_FUNCTIONS",
+    "PAYLOAD",
+    "AbstractFunctions",
+    "AbstractInputTerm",
+    "AbstractJointLaw",
+    "AbstractLinearNetwork",
+    "AbstractManipulatorTerm",
+    "AbstractTerm",
+    "AbstractTermSum",
+    "JointTerm",
+    "LawProperties",
+    "Layout",
+    "RigidBodyRecursion",
+    "RigidBodyTables",
+    "StaticFriction",
+    "carrier",
+    "derive",
+    "input_rows",
+]

@@ -1,3 +1,9 @@
+"""The network of one robot: a rigid body, friction, springs, coupled joints and a payload.
+
+The formula is Eqn. 2.5-2. Methods `with_...` and `without_...` return networks with other terms.
+Counts and orders are those of the thesis (4.2, 5.1, 5.2.5).
+"""
+
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -6,10 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..codegen import Motion, Value
-from ..derivation import Algebra, constant_values
+from ..derivation import Algebra, constant_values, derive_algebra
 from ..manipulator import LinkParameters, Manipulator
-from ._coefficient_values import coefficient_values
-from ._counts import counts_of, order_per_joint
+from ._layout import coefficient_values
 from ._term_sum import AbstractTermSum
 from .terms import (
     AbstractInputTerm,
@@ -25,6 +30,76 @@ from .terms import (
     payload_term,
     term_entries,
 )
+
+
+def counts_of(
+    algebra: Algebra, terms: Sequence[AbstractInputTerm], carrying_link: int | None
+) -> dict[str, dict[str, int]]:
+    """Size of each subnetwork: inputs, links and coefficients (thesis 5.1, Appendix B).
+
+    - `algebra`: of the rigid body; `terms`: of everything beside it.
+    - `carrying_link`: of a payload, counted from 1; None without one.
+    """
+    counts = _rigid_body_counts(algebra)
+    for term in terms:
+        n = len(term.input_joints)
+        nodes = len(set(term.input_joints))
+        counts[term.kind] = {"inputs": n, "links": n, "nodes": nodes, "coefficients": term.size}
+    for payload in _payload_algebra(algebra, carrying_link):
+        parts = _rigid_body_counts(payload).values()
+        total = {name: sum(part[name] for part in parts) for name in ("inputs", "links", "nodes")}
+        counts["payload"] = total | {"coefficients": len(payload.coefficients)}
+    return counts
+
+
+def order_per_joint(
+    algebra: Algebra, terms: Sequence[AbstractInputTerm], carrying_link: int | None
+) -> tuple[int, ...]:
+    """Count the independent coefficients that each joint's torque depends on (thesis 4.2, 5.2.5).
+
+    For a network whose output is linear in its coefficients and whose hidden nodes feed one
+    context-sensitive product each, the order of an output is the number of coefficients that
+    reach it. Arguments as of `counts_of`.
+    """
+    projection, n = JointProjection.of(algebra.robot), algebra.robot.joint_count
+    moved = [[i] for i in range(n)]
+    if projection is not None:
+        moved = [[joint for joint, _ in shares] for shares in projection.shares]
+    orders = [0] * len(moved)
+    for rigid in (algebra, *_payload_algebra(algebra, carrying_link)):
+        reach: list[set[int]] = [set() for _ in range(n)]
+        for link in rigid.mass.links:
+            for joint in rigid.mass.columns[link.column]:
+                reach[joint] |= {index for index, _ in link.weights}
+        for table in (rigid.velocity, rigid.gravity):
+            for link in table.links:
+                reach[table.columns[link.column][0]] |= {index for index, _ in link.weights}
+        for output, joints in enumerate(moved):
+            orders[output] += len({index for joint in joints for index in reach[joint]})
+    for term in terms:
+        for joint in term.input_joints:
+            orders[joint] += 1
+    return tuple(orders)
+
+
+def _payload_algebra(algebra: Algebra, carrying_link: int | None) -> tuple[Algebra, ...]:
+    """The closed form of a payload's torque in base parameters; empty without a payload."""
+    if carrying_link is None:
+        return ()
+    return (derive_algebra(carrier(algebra.robot, carrying_link), "numeric"),)
+
+
+def _rigid_body_counts(algebra: Algebra) -> dict[str, dict[str, int]]:
+    tables = {name: getattr(algebra, name) for name in ("mass", "velocity", "gravity")}
+    return {
+        name: {
+            "inputs": len(table.inputs),
+            "links": len(table.links),
+            "nodes": len(table.columns),
+            "coefficients": len(table.coefficients),
+        }
+        for name, table in tables.items()
+    }
 
 
 # One number a joint, two for either direction, or three a pair of coupled joints.
@@ -58,7 +133,7 @@ class CSLC(AbstractTermSum):
 
     @property
     def robot(self) -> Manipulator:
-        """What it was derived from: with all joints, those that follow others too."""
+        """Robot that the network was derived from, with all joints, followers included."""
         return self.algebra.robot
 
     @property
@@ -102,7 +177,7 @@ class CSLC(AbstractTermSum):
 
     @property
     def has_column_entries(self) -> bool:
-        """Whether all terms are of kinds that can be written as expressions."""
+        """True if all terms are of kinds that can be written as expressions."""
         kinds = AbstractRigidBody | AbstractInputTerm
         return all(isinstance(term, kinds) for term in self.terms)
 
@@ -164,7 +239,7 @@ class CSLC(AbstractTermSum):
     def with_static_slopes(
         self, slopes: Sequence[float] | Float[Array | np.ndarray, " joints"]
     ) -> "CSLC":
-        """The same network with other slopes of static friction, (n,) [s/rad or s/m].
+        """Return the network with other slopes of static friction, (n,) [s/rad or s/m].
 
         Those of joints without static friction are not used. Slopes are a leaf of the network: a
         compiled function that takes the slopes, or the network, as an argument can be called
@@ -193,7 +268,7 @@ class CSLC(AbstractTermSum):
         return CSLC(algebra=self.algebra, terms=terms)
 
     def without_law(self, kind: str, joints: Sequence[int]) -> "CSLC":
-        """The same network without a friction law, or a spring, of some joints, counted from 1.
+        """Return the network without a friction law, or a spring, of some joints, counted from 1.
 
         **Raises** `ValueError` if the network has no such term.
 
@@ -219,7 +294,7 @@ class CSLC(AbstractTermSum):
         return CSLC(algebra=dataclasses.replace(self.algebra, robot=robot), terms=tuple(terms))
 
     def with_joint_friction(self, kinds: Sequence[Sequence[str]]) -> "CSLC":
-        """The same network with other friction laws, and springs, of its joints.
+        """Return the network with other friction laws, and springs, of its joints.
 
         **Arguments**
 
@@ -254,7 +329,7 @@ class CSLC(AbstractTermSum):
         return tuple(term for term in self.terms if isinstance(term, LoadFriction))
 
     def with_load(self, k: Float[Array | np.ndarray, " coefficients"] | None) -> "CSLC":
-        """The same network, friction that grows with the load following that of `k`, (p,).
+        """Return the network with load-dependent friction that follows the torque of `k`, (p,).
 
         With this, torque is linear in all coefficients. None: of no torque, as before a fit.
 
@@ -278,7 +353,7 @@ class CSLC(AbstractTermSum):
         return CSLC(algebra=self.algebra, terms=tuple(terms))
 
     def without_load(self) -> "CSLC":
-        """The same network without friction that follows the load, if it has such."""
+        """Return the network without load-dependent friction, if it has any."""
         network = self
         for term in self.load_terms:
             network = network.without_law(term.kind, range(1, self.joint_count + 1))
@@ -296,7 +371,7 @@ class CSLC(AbstractTermSum):
         return next((law for law in laws if isinstance(law, StaticFriction)), None)
 
     def with_payload(self, link: int | None = None) -> "CSLC":
-        """The same network with a payload: a body rigidly attached to a link (thesis 8.2.4).
+        """Return the network with a payload: a body rigidly attached to a link (thesis 8.2.4).
 
         Its ten inertial parameters are the last coefficients of `k`, in group `"payload"`: the
         inertia tensor about the origin of the carrying link's frame, the first moments and the
@@ -351,7 +426,7 @@ class CSLC(AbstractTermSum):
 
     @property
     def order_per_joint(self) -> tuple[int, ...]:
-        """How many coefficients each joint's torque depends on, friction included (5.2.5).
+        """Number of coefficients that each joint's torque depends on, friction included (5.2.5).
 
         Of a payload's ten, as many as the joint's torque can tell apart.
         """

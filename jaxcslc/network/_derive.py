@@ -1,3 +1,8 @@
+"""Entry of the package: `derive`, which builds the network of a robot.
+
+It chooses the lengths that stay symbols, and the evaluator of the rigid body.
+"""
+
 from collections.abc import Sequence
 from typing import Literal, cast
 
@@ -79,7 +84,10 @@ def derive(
 
 
 def _has_many_lengths(robot: Manipulator) -> bool:
-    """Files of CAD models give every axis an arbitrary offset, and each would be a symbol."""
+    """Return whether a robot has too many lengths to keep as symbols.
+
+    Files of CAD models give every axis an arbitrary offset, and each would be a symbol.
+    """
     from_cad = robot.source is not None and robot.source.format != "toml"
     return from_cad or robot.joint_count > 6
 

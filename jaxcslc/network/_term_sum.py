@@ -1,3 +1,5 @@
+"""Inverse dynamics of a robot as a sum of terms: M, V, G, friction, springs, forward dynamics."""
+
 import abc
 from collections.abc import Sequence
 from typing import TypeVar
@@ -67,17 +69,17 @@ class AbstractTermSum(AbstractLinearNetwork):
 
     @property
     def motion_count(self) -> int:
-        """One column a joint, those that follow others apart."""
+        """Number of columns of the motion: one per joint, except joints that follow others."""
         return len(self.robot.independent_joints)
 
     @property
     def joint_kinds(self) -> str:
-        """Of the joints that have torques, as in `"RRPRRR"`."""
+        """Kinds of the joints that have torques, as in `"RRPRRR"`."""
         return "".join(self._of_independent(self.robot.kinds))
 
     @property
     def joint_limits(self) -> tuple[JointLimits, ...]:
-        """What the robot's file says that each of these joints can do."""
+        """Limits of each of these joints according to the robot's file."""
         return self._of_independent(self.robot.joint_limits)
 
     @property
@@ -162,7 +164,7 @@ class AbstractTermSum(AbstractLinearNetwork):
         return k * jnp.asarray(mask, k.dtype)
 
     def _of_independent(self, entries: Sequence[Entry]) -> tuple[Entry, ...]:
-        """Of the robot's joints, those of the joints that have torques."""
+        """Select, from entries of all the robot's joints, those of the joints that have torques."""
         return tuple(entries[i] for i in self.robot.independent_joints)
 
     def _of(self, part: str) -> tuple[AbstractManipulatorTerm, ...]:

@@ -1,3 +1,5 @@
+"""Computed-torque control with a payload that is identified on-line."""
+
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -12,8 +14,8 @@ from ..control import (
     OutputFeedbackState,
     Reference,
 )
+from ._change_detection import PayloadState
 from ._estimator import PayloadEstimator
-from ._payload_state import PayloadState
 
 
 class PayloadCompensationState(NamedTuple):
@@ -111,7 +113,7 @@ class PayloadCompensation(AbstractController):
         interval: float | Array,
         qd: Float[Array | np.ndarray, " joints"] | None = None,
     ) -> tuple[Float[Array, " joints"], PayloadCompensationState]:
-        """As `AbstractController.step`; measured velocities are not used."""
+        """Compute the torque command, as `AbstractController.step`, without measured velocities."""
         del qd
         estimate = state.estimator.estimate
         target = jnp.where(estimate.carrying, estimate.body, jnp.zeros(10))

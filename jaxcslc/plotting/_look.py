@@ -1,3 +1,5 @@
+"""Look of all pictures: colours, line styles, and figures without a window."""
+
 from typing import TYPE_CHECKING
 
 from .._environment import require

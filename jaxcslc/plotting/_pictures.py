@@ -1,3 +1,5 @@
+"""Pictures of measured and predicted torque (Figs. 7.6-1, 7.6-2), and their files."""
+
 from pathlib import Path
 from typing import TYPE_CHECKING
 

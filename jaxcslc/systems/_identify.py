@@ -1,20 +1,15 @@
+"""Entry point: `identify_system`, from a recording to a `SystemReport` (thesis C.2)."""
+
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
-from ..identification import (
-    ErrorTable,
-    Identification,
-    Settings,
-    compare,
-    cross_validated_error,
-    degree_of_excitation,
-    held_out_error,
-)
-from ..identification.report import condition_warning
-from ..motion import AveragedSplines, Patterns, Preparation, choose_spacing
+from ..least_squares import Identification, Settings
+from ..recordings import AveragedSplines, Patterns, Preparation, choose_spacing
+from ..report import ErrorTable, compare, condition_warning, degree_of_excitation
+from ..uncertainty import cross_validated_error, held_out_error
 from ._constants import constants_from
 from ._measurement_noise import check_noise, measurement_noise
 from ._network import SystemNetwork
@@ -225,8 +220,10 @@ def _simulation(
 def _warnings(
     network: SystemNetwork, fit: Identification, patterns: Patterns, errors: ErrorTable
 ) -> Iterator[str]:
-    """One sentence for a meaningless condition, and one for each equation of whose known side's
-    variance the fit explains less than half."""
+    """Yield warnings of a meaningless condition and of equations that the fit explains poorly.
+
+    An equation has a warning if the fit explains less than half of its known side's variance.
+    """
     yield from condition_warning(fit)
     deviation = np.std(np.asarray(patterns.torque), axis=0)
     for name, rms, size in zip(

@@ -1,10 +1,12 @@
+"""White measurement noise of a recording's columns: its level, and simulated draws."""
+
 import math
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..motion import sixth_differences
+from ..recordings import sixth_differences
 from ._recording import SystemRecording
 
 
@@ -21,10 +23,10 @@ _LEVEL_ERROR = 1.76
 def measurement_noise(system: "System", recording: SystemRecording) -> dict[str, float]:
     """Standard deviation of the white noise in each column of a recording.
 
-    From `jaxcslc.motion.sixth_differences`: the median of their modulus, which steps of an input
-    and other rare events do not raise; or their root mean square where more than half are zero, as
-    of an encoder at rest. (`jaxcslc.motion.noise_level` takes values on a grid for readings of an
-    encoder, which here may be an input of a few levels.)
+    From `jaxcslc.recordings.sixth_differences`: the median of their modulus, which steps of an
+    input and other rare events do not raise; or their root mean square where more than half are
+    zero, as of an encoder at rest. (`jaxcslc.recordings.noise_level` takes values on a grid for
+    readings of an encoder, which here may be an input of a few levels.)
 
     **Arguments**
 

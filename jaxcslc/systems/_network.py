@@ -1,3 +1,5 @@
+"""A system as a network of exactly its form: the fourth stage (thesis C.2)."""
+
 import dataclasses
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -38,7 +40,7 @@ class Formulas:
 
     @classmethod
     def of(cls, system: "System", expressions: Sequence[Any]) -> "Formulas":
-        """Of expressions in the symbols of a system."""
+        """Compile expressions in the symbols of a system."""
         used = {symbol for expression in expressions for symbol in expression.free_symbols}
         symbols = {key: x for key, x in system.symbols.motion.items() if x in used}
         searched = (system.symbols.constants[constant.name] for constant in system.nonlinear)
@@ -55,7 +57,7 @@ class Formulas:
         motion: Sequence[Sequence[Array]],
         nonlinear: Float[Array | np.ndarray, " nonlinear"],
     ) -> list[Array]:
-        """One array for each expression, of the shape of the motion's.
+        """Evaluate the expressions: one array each, of the shape of the motion's.
 
         - `motion`: by order of the derivative and by variable.
         """
@@ -226,7 +228,7 @@ class SystemNetwork(AbstractLinearNetwork):
 
     @property
     def motion_count(self) -> int:
-        """One column a variable."""
+        """Number of columns of the motion, one per variable."""
         return len(self.system.variables)
 
     @property
@@ -236,7 +238,7 @@ class SystemNetwork(AbstractLinearNetwork):
 
     @property
     def highest(self) -> tuple[int, ...]:
-        """For each variable, the highest derivative of it in the equations: 0, 1 or 2."""
+        """Order of the highest derivative of each variable in the equations: 0, 1 or 2."""
         used = (*self.terms[0].formulas.symbols, *self.known_sides.symbols)
         return tuple(
             max((order for index, order in used if index == variable), default=0)
@@ -249,7 +251,7 @@ class SystemNetwork(AbstractLinearNetwork):
         return self.terms[0].nonlinear
 
     def with_nonlinear(self, values: Float[Array | np.ndarray, " nonlinear"]) -> "SystemNetwork":
-        """The same network with other values of the searched constants.
+        """Return the network with other values of the searched constants.
 
         Can be jitted, vmapped and differentiated.
         """
@@ -282,7 +284,7 @@ class SystemNetwork(AbstractLinearNetwork):
 
     @property
     def order_per_joint(self) -> tuple[int, ...]:
-        """How many independent combinations of coefficients each equation depends on (5.2.5)."""
+        """Number of independent combinations of coefficients in each equation (5.2.5)."""
         return self.system.separation.order_per_output
 
     @property

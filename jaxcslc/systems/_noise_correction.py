@@ -1,3 +1,8 @@
+"""Correction of coefficients for the bias of measurement noise and smoothing.
+
+Draws of noise go through smoothing and fit; `_noise_errors` evaluates them.
+"""
+
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
@@ -7,9 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..identification import Identification, Settings
-from ..identification.solver import WeightedEquations
-from ..motion import Derivatives, Patterns
+from ..least_squares import Identification, Settings, WeightedEquations
+from ..recordings import Derivatives, Patterns
 from ._measurement_noise import check_noise, level_error, measurement_noise, with_simulated_noise
 from ._network import SystemNetwork
 from ._noise_errors import (
@@ -42,7 +46,7 @@ Noise = Mapping[str, float] | Literal["estimated"] | None
 
 @dataclasses.dataclass(frozen=True)
 class NoiseCorrection:
-    """What measurement noise does to the coefficients of a system.
+    """Effect of measurement noise on the coefficients of a system, and the corrected fit.
 
     **Attributes**
 
@@ -213,7 +217,7 @@ def correct_for_noise(
 
 @dataclasses.dataclass(frozen=True)
 class _Simulation:
-    """What draws of noise are sent through.
+    """Smoothing and fit that draws of noise are sent through.
 
     - `smoothing`: whose bias is taken off.
     - `problem`: the equations of the patterns, with the weights of the fit.
@@ -229,8 +233,10 @@ class _Simulation:
 
     @property
     def edges(self) -> Int[np.ndarray, " edges"]:
-        """Of stretches of the patterns so long that noise in none of them changes the equations of
-        others than its neighbours."""
+        """Edges of long stretches of the patterns.
+
+        Noise in a stretch changes only its own equations and those of its neighbours.
+        """
         time, samples = np.asarray(self.patterns.time), self.patterns.samples
         states = max(len(self.system.states), 1)
         preparation = dataclasses.replace(self.settings.preparation, trim=None)
@@ -270,7 +276,7 @@ class _Simulation:
         return self.settings.solver.fit(self.system.network, patterns)
 
     def odd_error(self, motion: Derivatives, change: Derivatives) -> np.ndarray:
-        """What changes its sign with a change of the motion, of the errors of the equations."""
+        """Return the part of the equations' errors that changes sign with the motion's change."""
         error = np.asarray(_odd_error(self.system.network, self.k, motion, change))
         if not np.all(np.isfinite(error[np.asarray(self.patterns.mask)])):
             raise EquationsUndefined(

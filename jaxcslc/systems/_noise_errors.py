@@ -1,3 +1,5 @@
+"""Errors that simulated noise makes in equations and coefficients, and tests of them."""
+
 import dataclasses
 from collections.abc import Callable, Iterator
 
@@ -5,9 +7,8 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ..identification import Identification
-from ..identification.solver import Equations, Unknowns, WeightedEquations
-from ..motion import Patterns
+from ..least_squares import Equations, Identification, Unknowns, WeightedEquations
+from ..recordings import Patterns
 from ._measurement_noise import level_error
 from ._network import SystemNetwork
 
@@ -27,7 +28,7 @@ OfEquations = list[Float[np.ndarray, "_ draws"]]
 
 @dataclasses.dataclass(frozen=True)
 class Draws:
-    """What simulated noise does to the coefficients.
+    """Effect of simulated noise on the coefficients.
 
     - `count`: of draws.
     - `errors`: of the equations, that the noise makes draw by draw; its linear part.
@@ -59,8 +60,11 @@ class Draws:
 
     @property
     def covariance(self) -> Float[np.ndarray, "coefficients coefficients"]:
-        """Of the corrected coefficients: of the linear part, of the part of second order about its
-        mean, and of that mean over the pairs, which is taken off."""
+        """Covariance of the corrected coefficients.
+
+        It adds that of the linear part, that of the part of second order about its mean, and that
+        of this mean over the pairs. The mean is taken off the coefficients.
+        """
         covariance = np.mean(self.products, axis=0)
         pairs = len(self.even)
         if pairs > 1:
@@ -92,7 +96,7 @@ class FilteredErrors:
             self._filter()
 
     def filtered(self) -> OfEquations:
-        """For each equation of the system (rows, draws)."""
+        """Return the filtered errors of each equation of the system, (rows, draws)."""
         self._filter()
         return [np.concatenate(parts, axis=1) for parts in zip(*self.done, strict=True)]
 
@@ -133,8 +137,10 @@ def _ratio(left: np.ndarray, made: np.ndarray) -> np.ndarray:
 def judged_ratio(
     problem: WeightedEquations, fit: Identification, made: OfEquations, samples: int
 ) -> tuple[Float[np.ndarray, " equations"], Float[np.ndarray, " equations"]]:
-    """What is left of equations over what fits leave of errors that noise makes, and the factor by
-    which the two may differ by chance.
+    """Compare the errors of equations with those that noise makes.
+
+    The ratio is what is left of the equations over what fits leave of errors that noise makes. With
+    it comes the factor by which the two may differ by chance.
 
     Each draw of noise is fitted like the recording: a fit of few independent errors leaves clearly
     less than there was. How much the draws' errors differ in size is the chance; it needs no model
@@ -166,7 +172,7 @@ def unexplained(
     ratio: Float[np.ndarray, " equations"],
     factor: Float[np.ndarray, " equations"],
 ) -> list[str]:
-    """One sentence for each equation whose errors noise does not explain by their size.
+    """Return one sentence per equation whose errors noise does not explain by their size.
 
     - `ratio`, `factor`: as of `judged_ratio`.
     """
@@ -194,7 +200,7 @@ def lasting_errors(
     samples: int,
     refitted: Callable[[int], Iterator[Identification]],
 ) -> list[str]:
-    """One sentence for the coefficient that errors of long duration move most beyond noise, if any.
+    """Return a sentence on the coefficient that long-lasting errors move most beyond noise, if any.
 
     They are seen by the standard error that residuals give it. Where this looks too large by
     Fisher's distribution, it is compared with those of fits of simulated noise: residuals that are

@@ -1,3 +1,8 @@
+"""Search for constants that enter nonlinearly, with the coefficients that belong to them.
+
+`_projected_error` is minimised from many starts, then all unknowns together.
+"""
+
 import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,12 +14,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._environment import require_float64
-from ..identification import Identification, LeastSquares
-from ..identification.solver import Equations, Unknowns, gauss_newton
-from ..motion import Patterns
+from ..least_squares import Equations, Identification, LeastSquares, Unknowns, gauss_newton
+from ..recordings import Patterns
+from ._constants import ConstantMinimum, ConstantSearch
 from ._network import SystemNetwork
 from ._projected_error import JudgedError, ProjectedError
-from ._search_result import ConstantSearch, Minimum
 from ._system import System
 from .description import DescriptionError
 
@@ -132,7 +136,7 @@ def search_constants(
 
 
 class _End(NamedTuple):
-    """Where local searches ended, and how many of the evenly spread ones."""
+    """End of local searches, and how many of the evenly spread ones ended there."""
 
     values: Float[np.ndarray, " constants"]
     total: float
@@ -146,7 +150,7 @@ def _first_weights(
     solver: LeastSquares,
     bounds: tuple[Float[np.ndarray, " constants"], Float[np.ndarray, " constants"]],
 ) -> Float[np.ndarray, " outputs"]:
-    """Those of the solver; for `"residual"`, by the median errors of fits at some points."""
+    """Return the solver's weights; for `"residual"`, by median errors of fits at some points."""
     weights = solver.joint_weights
     outputs = network.joint_count
     if weights == "equal" or (isinstance(weights, str) and outputs == 1):
@@ -238,7 +242,7 @@ def _descended(problem: ProjectedError, point: Array) -> tuple[Array, JudgedErro
     return values, problem.judged(values)
 
 
-def _different(problem: ProjectedError, ends: Sequence[_End]) -> tuple[Minimum, ...]:
+def _different(problem: ProjectedError, ends: Sequence[_End]) -> tuple[ConstantMinimum, ...]:
     """The minima that local searches ended in, the best first."""
     size = np.asarray(problem.high - problem.low)
     groups: list[list[_End]] = []
@@ -253,7 +257,7 @@ def _different(problem: ProjectedError, ends: Sequence[_End]) -> tuple[Minimum, 
         raise RuntimeError("no local search ended in a finite error; expected other bounds")
     best = groups[0][0].total
     return tuple(
-        Minimum(
+        ConstantMinimum(
             first.values,
             first.error,
             first.total / best if best > 0.0 else 1.0,

@@ -1,10 +1,12 @@
+"""Patterns of a system from a recording: smoothed states, aligned inputs, masks."""
+
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..motion import (
+from ..recordings import (
     DEFAULT_THRESHOLD_FRACTION,
     Derivatives,
     Patterns,
@@ -27,7 +29,7 @@ def system_patterns(
     preparation: Preparation | None = None,
     derivatives: Derivatives | None = None,
 ) -> Patterns:
-    """What a fit sees of a recording of a system.
+    """Return the patterns that a fit gets from a recording of a system.
 
     States are smoothed and differentiated as the positions of a robot are, inputs aligned as its
     torques are, by the same objects. Equations with the sign of a variable, as in dry friction,
@@ -168,7 +170,7 @@ def _mask(
 def _thresholds(
     preparation: Preparation, values: Float[np.ndarray, "samples signs"], output: int, count: int
 ) -> Float[np.ndarray, " signs"]:
-    """Of the arguments of the signs in one equation."""
+    """Return the thresholds of the arguments of the signs in one equation."""
 
     def of_output(options: float | int | Sequence[float | int]) -> float:
         listed = np.atleast_1d(np.asarray(options, float))

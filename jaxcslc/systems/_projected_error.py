@@ -1,3 +1,5 @@
+"""Error as a function of the nonlinear constants, coefficients eliminated."""
+
 from typing import NamedTuple
 
 import equinox as eqx
@@ -6,13 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..identification.solver import (
-    JointFactors,
-    Solution,
-    Unknowns,
-    minimum,
-)
-from ..motion import Patterns
+from ..least_squares import JointFactors, Solution, Unknowns, minimum
+from ..recordings import Patterns
 from ._network import SystemNetwork
 
 
@@ -58,7 +55,7 @@ class ProjectedError(eqx.Module):
         rcond: float | None = None,
         samples: int | None = None,
     ) -> "ProjectedError":
-        """Of patterns, or of so many of them at most, evenly spread in time."""
+        """Return the error on patterns, or on at most `samples` of them, evenly spread in time."""
         step = 1 if samples is None else -(-patterns.samples // samples)
         arrays = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, patterns.mask)
         q, qd, qdd, torque, mask = (jnp.asarray(x[::step], float) for x in arrays)

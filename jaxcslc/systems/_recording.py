@@ -1,3 +1,5 @@
+"""Recording of a system: named columns, sampled in time."""
+
 import dataclasses
 import os
 from collections.abc import Mapping
@@ -7,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from ..motion import MINIMUM_SAMPLES, RecordingError, first_fault, load_columns
+from ..recordings import MINIMUM_SAMPLES, RecordingError, first_fault, load_columns
 
 
 if TYPE_CHECKING:
@@ -57,7 +59,7 @@ class SystemRecording:
 
     @property
     def samples(self) -> int:
-        """How many samples were recorded."""
+        """Number of samples."""
         return len(self.time)
 
     @property
@@ -91,7 +93,7 @@ def load_system_recording(
 
     **Returns** the recording.
 
-    **Raises** `RecordingError` as `jaxcslc.motion.load_columns`, also for a column that is missing.
+    **Raises** `RecordingError` as `jaxcslc.recordings.load_columns`, also for a missing column.
 
     >>> import pathlib, tempfile
     >>> from jaxcslc.systems import load_system_recording

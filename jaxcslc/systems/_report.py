@@ -3,11 +3,11 @@
 from pathlib import Path
 from typing import ClassVar
 
-from ..identification import coefficient_rows
-from ..identification.report import (
+from ..report import (
     AbstractReport,
     AbstractSection,
     all_or_nothing,
+    coefficient_rows,
     read_report,
     write_csv,
     write_json,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..identification.report import (
+from ..report import (
     AbstractSection,
     AnyReport,
     CoefficientSection,
@@ -20,10 +20,9 @@ from ..identification.report import (
     SettingsSection,
     WarningSection,
 )
-from ._constants import ConstantEstimate
+from ._constants import ConstantEstimate, ConstantSearch
 from ._network import SystemNetwork
 from ._noise_correction import NoiseCorrection
-from ._search_result import ConstantSearch
 from ._simulation import Simulation
 
 

@@ -1,3 +1,5 @@
+"""Simulation of an identified system with the inputs of a recording."""
+
 import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -9,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._environment import require_float64
-from ..motion import Patterns
+from ..recordings import Patterns
 from ._network import SystemNetwork
 from ._system import System
 from .description import DescriptionError
@@ -57,7 +59,7 @@ class Simulation:
         return self.error / np.std(self.recorded, axis=0)
 
     def horizon(self, limit: float = 0.5) -> float:
-        """How long the simulation follows the recording [s].
+        """Return how long the simulation follows the recording [s].
 
         **Arguments**
 
@@ -172,14 +174,14 @@ def simulate_system(
 def _root_mean_square(
     path: Float[np.ndarray, "samples variables"], other: Float[np.ndarray, "samples variables"]
 ) -> Float[np.ndarray, " variables"]:
-    """Of the difference, over the samples; infinite or NaN where one left all bounds."""
+    """Return the RMS difference over the samples; infinite or NaN where one left all bounds."""
     with np.errstate(over="ignore", invalid="ignore"):
         return np.sqrt(np.mean((path - other) ** 2, axis=0))
 
 
 @dataclasses.dataclass(frozen=True)
 class _States:
-    """Which variables are simulated, and of which order: constants of compiled functions.
+    """Simulated variables and their orders: constants of compiled functions.
 
     - `indices`: of the variables; `orders`: of their highest derivatives, 1 or 2.
     - `others`: indices of the variables that the recording prescribes.
@@ -275,8 +277,10 @@ def _check_linear(
 def _matrices(
     network: SystemNetwork, k: Array, states: _States, motion: tuple[Array, Array, Array]
 ) -> tuple[Array, Array]:
-    """At all samples: what multiplies highest derivatives, rows of unit length, and by how much
-    it differs where the derivatives are others."""
+    """Return, at all samples, the matrices that multiply highest derivatives, rows of unit length.
+
+    The second result is by how much they differ where the derivatives are others.
+    """
     indices, second = np.array(states.indices), np.array(states.orders) == 2
 
     def at(sample: tuple[Array, Array, Array]) -> tuple[Array, Array]:

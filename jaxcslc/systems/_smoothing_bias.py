@@ -1,3 +1,5 @@
+"""Change of coefficients by smoothing, seen on motion that is smoothed once more."""
+
 import dataclasses
 from typing import TYPE_CHECKING, Any
 
@@ -6,9 +8,8 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Float
 
-from ..identification import Identification, LeastSquares, Settings
-from ..identification.solver import WeightedEquations
-from ..motion import Derivatives, Patterns, Preparation, away_from_reversals
+from ..least_squares import Identification, LeastSquares, Settings, WeightedEquations
+from ..recordings import Derivatives, Patterns, Preparation, away_from_reversals
 
 
 if TYPE_CHECKING:
@@ -103,7 +104,7 @@ def motion_of(patterns: Patterns) -> Derivatives:
 
 
 def with_motion(network: "SystemNetwork", patterns: Patterns, motion: Derivatives) -> Patterns:
-    """The same samples with another motion, and the known sides that go with it."""
+    """Return the samples with another motion, and the known sides that go with it."""
     q, qd, qdd = motion
     known = np.asarray(_known(network, q, qd, qdd))
     return dataclasses.replace(patterns, q=q, qd=qd, qdd=qdd, torque=known)
@@ -116,7 +117,7 @@ def _known(network: "SystemNetwork", q: Any, qd: Any, qdd: Any) -> Array:
 
 @dataclasses.dataclass(frozen=True)
 class SmoothingBias:
-    """What smoothing changes the coefficients of a fit by.
+    """Change of the coefficients of a fit by smoothing.
 
     Seen on the samples that smoothing once more says something of: not those at the ends, where the
     motion that comes in is that of windows cut short; nor those within twice the margin that a
@@ -144,8 +145,10 @@ class SmoothingBias:
         fit: Identification,
         reach: int,
     ) -> "SmoothingBias | None":
-        """Of a fit; None for a system without states, and where the samples do not determine what
-        the fit determines.
+        """Return the bias of a fit.
+
+        It is None for a system without states, and where the samples do not determine what the fit
+        determines.
 
         - `reach`: of the smoothing, in samples.
         """

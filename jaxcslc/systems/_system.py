@@ -1,3 +1,5 @@
+"""`System`: equations, variables and constants, and their stages (thesis 8.2.5, C.2)."""
+
 import dataclasses
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -26,12 +28,12 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class System:
-    """Any system whose equations are known and whose constants are not (thesis 8.2.5, C.2).
+    """System whose equations are known and whose constants are not (thesis 8.2.5, C.2).
 
     The five stages of C.2 are its properties and what is done with them: the symbolic form
     (`equations`), numbers in place of what is known (`numeric`), unknown constants apart from
     known variables (`separation`), the network (`network`), and training (`identify_system`,
-    `LeastSquares`, or any rule of `jaxcslc.training` on `jaxcslc.adaptive.linear_combiner`).
+    `LeastSquares`, or any rule of `jaxcslc.training` on `jaxcslc.training.linear_combiner`).
 
     **Attributes**
 
@@ -229,7 +231,7 @@ class System:
 
     @cached_property
     def signs(self) -> tuple[tuple[Any, ...], ...]:
-        """For each equation, of what variables it contains the sign."""
+        """Arguments of the signs in each equation."""
         from sympy import Heaviside, sign
 
         atoms = ((left - right).atoms(sign, Heaviside) for left, right in self.numeric.values())
@@ -321,7 +323,7 @@ class System:
         return variable.rate is not None or bool(used & derivatives)
 
     def _sides(self, name: str) -> tuple[Any, Any]:
-        """Of an equation in plain symbols."""
+        """Return the two sides of an equation in plain symbols."""
         from sympy import Eq, Integer
 
         equation = self.equations[name]

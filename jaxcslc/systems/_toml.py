@@ -1,3 +1,5 @@
+"""Systems read from TOML files."""
+
 import keyword
 import os
 from collections.abc import Collection, Mapping

@@ -1,11 +1,40 @@
+"""Learning rules for adaptive networks: perceptron rule, backpropagation, PERAL (thesis 3, 6, 7).
+
+A CSLC, or any feedforward network, is trained from patterns instead of fitted by least squares.
+
+     network, patterns --> examples --> train (plan: rules, rates, end) --> Training
+                                          |
+                                          +-- epoch: assess, choose a rule, learn
+
+Modules, in reading order:
+
+- `_network`: layers, links, and the network that they form.
+- `_networks`: the CSLC and other networks as adaptive ones, and weights to start from.
+- `_activations`, `_costs`: functions of nodes and of errors.
+- `_examples`, `_normal_equations`: patterns as training takes them.
+- `_rules`, `_peral`: learning rules.
+- `_plan`: schedule of rules, rates, and when to end.
+- `_epoch`, `_train`, `_history`: one epoch, a whole training, and its result.
+- `_pruning`, `_compact`: removal of links.
+- `_kernel` and its neighbours, `_cost_kernel`: CUDA kernels for many trainings side by side.
+"""
+
+from ._activations import (
+    HARD_LIMITER as HARD_LIMITER,
+    HYPERBOLIC_TANGENT as HYPERBOLIC_TANGENT,
+    LINEAR_COMBINER as LINEAR_COMBINER,
+    LOGISTIC as LOGISTIC,
+    Activation as Activation,
+    decreasing as decreasing,
+)
+from ._compact import compact as compact
 from ._costs import (
     Cost as Cost,
     half_rms as half_rms,
     half_square as half_square,
     mean_modulus as mean_modulus,
 )
-from ._delta_rules import Backpropagation as Backpropagation, PerceptronRule as PerceptronRule
-from ._epoch import Record as Record, State as State
+from ._epoch import Record as Record, TrainingState as TrainingState
 from ._examples import Examples as Examples, examples as examples
 from ._history import (
     ENDINGS as ENDINGS,
@@ -13,19 +42,111 @@ from ._history import (
     History as History,
     Training as Training,
 )
+from ._kernel import batched_by as batched_by, summed_change as summed_change
+from ._kernel_statements import RuleStatements as RuleStatements, rule_statements as rule_statements
+from ._network import (
+    AdaptiveNetwork as AdaptiveNetwork,
+    ContextLayer as ContextLayer,
+    Layer as Layer,
+    Links as Links,
+    Passage as Passage,
+    PolynomialTerms as PolynomialTerms,
+    RadialBasis as RadialBasis,
+    Signals as Signals,
+    Subnetwork as Subnetwork,
+    network_order as network_order,
+    order_per_output as order_per_output,
+)
+from ._networks import (
+    InverseDynamicsInputs as InverseDynamicsInputs,
+    Preprocessed as Preprocessed,
+    RegressorInputs as RegressorInputs,
+    fully_connected as fully_connected,
+    inverse_dynamics as inverse_dynamics,
+    linear_combiner as linear_combiner,
+    signed_start as signed_start,
+    subnetwork_masks as subnetwork_masks,
+)
 from ._normal_equations import (
     NormalEquations as NormalEquations,
     normal_equations as normal_equations,
     with_normal_equations as with_normal_equations,
 )
 from ._peral import PERAL as PERAL, IdealPERAL as IdealPERAL, check_sign_rank as check_sign_rank
-from ._plan import Plan as Plan, Schedule as Schedule
-from ._pruning import LinkEnds as LinkEnds, Pruning as Pruning, prune as prune
-from ._rates import (
+from ._plan import (
     AbstractRates as AbstractRates,
     AdaptedRates as AdaptedRates,
     FixedRates as FixedRates,
+    Plan as Plan,
+    Schedule as Schedule,
+    SwitchWhen as SwitchWhen,
 )
-from ._rules import AbstractRule as AbstractRule
-from ._switching import SwitchWhen as SwitchWhen
+from ._pruning import LinkEnds as LinkEnds, Pruning as Pruning, prune as prune
+from ._rules import (
+    AbstractRule as AbstractRule,
+    Backpropagation as Backpropagation,
+    PerceptronRule as PerceptronRule,
+)
 from ._train import train as train, training_steps as training_steps
+
+
+__all__ = [
+    "ENDINGS",
+    "HARD_LIMITER",
+    "HYPERBOLIC_TANGENT",
+    "LINEAR_COMBINER",
+    "LOGISTIC",
+    "OUTCOMES",
+    "PERAL",
+    "AbstractRates",
+    "AbstractRule",
+    "Activation",
+    "AdaptedRates",
+    "AdaptiveNetwork",
+    "Backpropagation",
+    "ContextLayer",
+    "Cost",
+    "Examples",
+    "FixedRates",
+    "History",
+    "IdealPERAL",
+    "InverseDynamicsInputs",
+    "Layer",
+    "LinkEnds",
+    "Links",
+    "NormalEquations",
+    "Passage",
+    "PerceptronRule",
+    "Plan",
+    "PolynomialTerms",
+    "Preprocessed",
+    "Pruning",
+    "RadialBasis",
+    "Record",
+    "RegressorInputs",
+    "Schedule",
+    "Signals",
+    "Subnetwork",
+    "SwitchWhen",
+    "Training",
+    "TrainingState",
+    "check_sign_rank",
+    "compact",
+    "decreasing",
+    "examples",
+    "fully_connected",
+    "half_rms",
+    "half_square",
+    "inverse_dynamics",
+    "linear_combiner",
+    "mean_modulus",
+    "network_order",
+    "normal_equations",
+    "order_per_output",
+    "prune",
+    "signed_start",
+    "subnetwork_masks",
+    "train",
+    "training_steps",
+    "with_normal_equations",
+]

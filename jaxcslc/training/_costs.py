@@ -1,3 +1,5 @@
+"""Costs of a network's errors: mean modulus, half RMS and half square (Eqn. 3.4-2, 6.3.1, 7.5)."""
+
 from collections.abc import Callable
 from typing import NamedTuple
 

@@ -1,3 +1,9 @@
+"""One epoch of a training: assess, decide whether to go on and by which rule, and learn.
+
+`State` is what passes from epoch to epoch, and `Record` is what the history keeps. `_train` runs
+epochs; `_plan` states the rules.
+"""
+
 from typing import NamedTuple
 
 import equinox as eqx
@@ -6,17 +12,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from ..adaptive import AdaptiveNetwork
 from ._examples import Examples
 from ._history import OUTCOMES
+from ._network import AdaptiveNetwork
 from ._normal_equations import NormalEquations
-from ._plan import Plan, Turn
+from ._plan import Plan, Turn, promise
 from ._rules import AbstractRule
-from ._switching import promise
 
 
-class State(eqx.Module):
-    """Where a training stands: all that the next epoch, or a resumed run, needs."""
+class TrainingState(eqx.Module):
+    """State of a training: all that the next epoch, or a resumed run, needs."""
 
     weights: Float[Array, " weights"]
     rates: Float[Array, "rules groups"]
@@ -44,7 +49,7 @@ class State(eqx.Module):
         plan: Plan,
         weights: Float[Array, " weights"],
         key: Key[Array, ""],
-    ) -> "State":
+    ) -> "TrainingState":
         infinite, zero = jnp.asarray(jnp.inf, weights.dtype), jnp.zeros((), int)
         return cls(
             weights=weights,
@@ -69,7 +74,7 @@ class State(eqx.Module):
 
 
 class Record(eqx.Module):
-    """What an epoch leaves in the history: as it stood before the epoch moved the weights.
+    """Entry of an epoch in the history, as it stood before the epoch moved the weights.
 
     Of several epochs, and of many trainings, with axes of them in front.
 
@@ -90,11 +95,11 @@ def epoch(
     plan: Plan,
     training_set: Examples | NormalEquations,
     stop_set: Examples | None,
-    state: State,
+    state: TrainingState,
     keep_weights: bool,
     rule: int | None = None,
-) -> tuple[State, Record]:
-    """One epoch: assess, decide whether to go on and by which rule, and learn.
+) -> tuple[TrainingState, Record]:
+    """Run one epoch: assess, decide whether to go on and by which rule, and learn.
 
     - `rule`: of trainings in step, the index of the rule that is to learn.
     """
@@ -153,7 +158,10 @@ class _Preference(NamedTuple):
 
 
 def _preference(
-    network: AdaptiveNetwork, plan: Plan, training_set: Examples | NormalEquations, state: State
+    network: AdaptiveNetwork,
+    plan: Plan,
+    training_set: Examples | NormalEquations,
+    state: TrainingState,
 ) -> _Preference:
     """The rule that the schedule's switch prefers, and rates for it; without one, the present."""
     switch = plan.schedule.switch
@@ -188,14 +196,14 @@ def _preference(
 
 def _assessed(
     plan: Plan,
-    state: State,
+    state: TrainingState,
     preference: _Preference,
     cost: Array,
     measure: Array,
     stop_cost: Array,
     stop_set: bool,
     commanded_rule: int | None,
-) -> State:
+) -> TrainingState:
     """The state with the cost of its weights known, whose turn it is, and whether it ended."""
     rule, rates = preference.rule, preference.rates
     first = state.epoch == 0
@@ -226,7 +234,7 @@ def _assessed(
     outcome = OUTCOMES.where(measure <= plan.target, OUTCOMES.reached, outcome)
     beyond = ~jnp.isfinite(cost) | (cost > plan.divergence * jnp.maximum(first_cost, 1e-300))
     outcome = OUTCOMES.where(beyond, OUTCOMES.diverged, outcome)
-    return State(
+    return TrainingState(
         weights=jnp.where(takes_over, lowest_weights, state.weights),
         rates=rates,
         key=state.key,
@@ -248,7 +256,7 @@ def _learnt(
     network: AdaptiveNetwork,
     plan: Plan,
     training_set: Examples | NormalEquations,
-    state: State,
+    state: TrainingState,
     cost: Array,
     known: _Known | None,
     commanded_rule: int | None,

@@ -1,3 +1,9 @@
+"""Patterns ready for training: preprocessed inputs, targets, and the pairs that count.
+
+`Examples` computes costs and changes of the weights. `NormalEquations` replaces it for
+backpropagation of linear networks.
+"""
+
 from collections.abc import Sequence
 from functools import lru_cache, partial
 from typing import Any
@@ -9,15 +15,16 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from ..adaptive import HARD_LIMITER, AdaptiveNetwork, Layer, Signals, Subnetwork
+from ._activations import HARD_LIMITER
+from ._cost_kernel import CostKernel, cost_kernel
 from ._costs import Cost, half_square
-from ._delta_rules import Backpropagation
-from ._rules import AbstractRule, Counts, of_subnetwork
-from .fused import CostKernel, batched_by, cost_kernel, summed_change
+from ._kernel import batched_by, summed_change
+from ._network import AdaptiveNetwork, Layer, Signals, Subnetwork
+from ._rules import AbstractRule, Backpropagation, Counts, of_subnetwork
 
 
 def reach(network: AdaptiveNetwork) -> tuple[tuple[int, ...], ...]:
-    """For each output, the weights that can change it, in ascending order."""
+    """Return, for each output, the weights that can change it, in ascending order."""
     return _reach(network.subnetworks)
 
 
@@ -50,7 +57,7 @@ def _reach_through(layers: Sequence[Layer], inputs: int) -> list[set[int]]:
 
 
 def covered(network: AdaptiveNetwork, signals: Signals, counts: Counts) -> Bool[Array, " weights"]:
-    """Which weights at least one pair that counts for their subnetwork can tell something of.
+    """Mark weights about which at least one counted pair of their subnetwork tells something.
 
     Moduli all the way, so that nothing cancels: what counts is carried back to the links of the
     first layer through whatever is not zero. Hidden nodes are taken to answer something, and so
@@ -88,7 +95,7 @@ def _covered_back(
     inputs: Float[Array, "inputs patterns"],
     back: Float[Array, "nodes patterns"],
 ) -> Float[Array, " weights"]:
-    """How much of what is carried back to the last of some layers arrives at each weight."""
+    """Carry moduli from the outputs of some layers back to their links, and sum them per weight."""
     total = jnp.zeros(size, back.dtype)
     for number, layer in reversed(list(enumerate(layers))):
         links = layer.links
@@ -129,17 +136,17 @@ class Examples(eqx.Module):
 
     @property
     def learning_counts(self) -> Counts:
-        """What rules take: the pairs of each subnetwork, or those of all."""
+        """Pairs that rules learn from: those of each subnetwork, or those of all."""
         return self.counts if self.subnetwork_counts is None else self.subnetwork_counts
 
     @property
     def patterns(self) -> Float[Array, ""]:
-        """How many patterns have an output that counts."""
+        """Number of patterns with an output that counts; at least 1."""
         return jnp.maximum(jnp.sum(jnp.any(self.counts > 0, axis=0)), 1).astype(self.counts.dtype)
 
     @property
     def trainings(self) -> int | None:
-        """How many sets of patterns these are, if there is a leading axis of them."""
+        """Number of sets of patterns, if there is a leading axis of them; otherwise None."""
         return self.targets.shape[0] if self.targets.ndim == 3 else None
 
     @property
@@ -148,7 +155,7 @@ class Examples(eqx.Module):
         return (*self.signals.inputs, self.targets)
 
     def check_rule(self, rule: AbstractRule, cost: Cost, order: str) -> str | None:
-        """Why they cannot be trained with so, in one line; none if they can."""
+        """Return why these patterns do not suit the training, in one line; None if they do."""
         del rule, cost, order
         return None
 
@@ -215,7 +222,7 @@ class Examples(eqx.Module):
         return batched_by(single, many, 3)(weights, change, trials, self)
 
     def has_cost_kernel(self, network: AdaptiveNetwork, cost: Cost) -> bool:
-        """Whether a kernel computes the cost, also at as many sets of rates as are compared."""
+        """Return whether a kernel computes the cost, also at all sets of rates to compare."""
         trials = 4 * len(network.adaptive_layers)
         return all(self._cost_kernel(network, cost, number) for number in (0, 1, trials))
 
@@ -292,7 +299,7 @@ def examples(
     - `targets`: (patterns, o), within the range of the network's activation.
     - `counts`: (patterns, o), False for pairs of pattern and output to leave out (5.2.4, 7.5);
       all count if omitted. (subnetworks, patterns, o) for subnetworks that learn from different
-      pairs, as friction does in 7.2.2: see `jaxcslc.adaptive.subnetwork_masks`. Costs are then
+      pairs, as friction does in 7.2.2: see `jaxcslc.training.subnetwork_masks`. Costs are then
       of all pairs that count for any subnetwork.
 
     **Raises** `ValueError`, unless under `jit` or `vmap`, if targets are not of that shape or
@@ -300,7 +307,7 @@ def examples(
     subnetwork reaches one of the weights.
 
     >>> import numpy as np
-    >>> from jaxcslc.adaptive import fully_connected
+    >>> from jaxcslc.training import fully_connected
     >>> from jaxcslc.training import examples
     >>> network = fully_connected([2, 1], "hard limiter")
     >>> both = examples(network, np.asarray([[0.0, 1.0], [1.0, 1.0]]), np.asarray([[0.0], [1.0]]))

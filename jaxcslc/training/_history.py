@@ -1,3 +1,5 @@
+"""Result of a training: weights, outcome, and the history epoch by epoch."""
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -5,7 +7,7 @@ from jaxtyping import Array, Float, Int
 
 
 class OUTCOMES(eqx.Enumeration):
-    """How a training ended. The members are the messages."""
+    """Outcome of a training; the members are the messages."""
 
     reached = ""
     no_further_reduction = ""
@@ -79,7 +81,7 @@ class Training(eqx.Module):
     history: History
 
     def outcomes(self) -> dict[str, int]:
-        """How many trainings ended in which way."""
+        """Return the number of trainings that ended in each way."""
         numbers = {
             name: int(np.sum(np.asarray(self.outcome == member)))
             for name, member in ENDINGS.items()

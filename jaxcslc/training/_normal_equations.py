@@ -1,3 +1,8 @@
+"""Normal equations of patterns, for backpropagation of networks that are linear in their weights.
+
+An epoch then costs p² operations, and not a pass over the patterns.
+"""
+
 from typing import Any
 
 import equinox as eqx
@@ -5,11 +10,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..adaptive import LINEAR_COMBINER, AdaptiveNetwork
+from ._activations import LINEAR_COMBINER
 from ._costs import Cost, half_square
-from ._delta_rules import Backpropagation
 from ._examples import Examples
-from ._rules import AbstractRule, links_per_weight
+from ._network import AdaptiveNetwork
+from ._rules import AbstractRule, Backpropagation, links_per_weight
 
 
 # Patterns whose sensitivities are held at once: 32 MB for a PUMA 560's five subnetworks.
@@ -17,7 +22,7 @@ _BLOCK = 4096
 
 
 class NormalEquations(eqx.Module):
-    """What full-batch backpropagation of a linear network needs to know of its patterns.
+    """Normal equations of patterns: all that full-batch backpropagation of a linear network needs.
 
     Outputs that are linear in the weights have a quadratic cost, Eqn. 3.4-2's half sum of
     squares: its Gram matrix says what any number of patterns would, so that an epoch costs p²
@@ -46,7 +51,7 @@ class NormalEquations(eqx.Module):
 
     @property
     def trainings(self) -> int | None:
-        """How many sets of patterns these are, if there is a leading axis of them."""
+        """Number of sets of patterns, if there is a leading axis of them; otherwise None."""
         return self.gram.shape[0] if self.gram.ndim == 3 else None
 
     @property
@@ -55,7 +60,7 @@ class NormalEquations(eqx.Module):
         return (self.gram, self.layered_moment)
 
     def check_rule(self, rule: AbstractRule, cost: Cost, order: str) -> str | None:
-        """Why they cannot be trained with so, in one line; none if they can."""
+        """Return why these equations do not suit the training, in one line; None if they do."""
         if not isinstance(rule, Backpropagation):
             return (
                 f"normal equations serve backpropagation only: {rule.name} needs every pattern's"
@@ -122,7 +127,7 @@ class NormalEquations(eqx.Module):
         Can be jitted, and mapped over sets of patterns.
 
         >>> import numpy as np
-        >>> from jaxcslc.adaptive import fully_connected
+        >>> from jaxcslc.training import fully_connected
         >>> from jaxcslc.training import examples, normal_equations
         >>> network = fully_connected([1, 1], "linear combiner")
         >>> line = examples(network, np.array([[0.0], [1.0]]), np.array([[1.0], [3.0]]))
@@ -151,7 +156,7 @@ def normal_equations(network: AdaptiveNetwork, training_set: Examples) -> Normal
     **Raises** `ValueError` if the network's outputs are not linear in its weights.
 
     >>> import jax.numpy as jnp
-    >>> from jaxcslc.adaptive import fully_connected
+    >>> from jaxcslc.training import fully_connected
     >>> from jaxcslc.training import examples, half_square, normal_equations
     >>> network = fully_connected([1, 1], "linear combiner")
     >>> line = examples(network, jnp.asarray([[0.0], [1.0]]), jnp.asarray([[1.0], [3.0]]))
@@ -184,7 +189,7 @@ def with_normal_equations(network: AdaptiveNetwork, training_set: Examples) -> E
     **Raises** `ValueError` as `normal_equations`.
 
     >>> import jax.numpy as jnp
-    >>> from jaxcslc.adaptive import fully_connected
+    >>> from jaxcslc.training import fully_connected
     >>> from jaxcslc.training import Backpropagation, examples, with_normal_equations
     >>> network = fully_connected([1, 1], "linear combiner")
     >>> line = examples(network, jnp.asarray([[0.0], [1.0]]), jnp.asarray([[1.0], [3.0]]))

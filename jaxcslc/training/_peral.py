@@ -1,9 +1,11 @@
+"""Proportional error allocation (PERAL), practical and ideal (thesis 6.1, 6.2)."""
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._rank import numerical_rank
-from ..adaptive import AdaptiveNetwork, Signals
+from ._network import AdaptiveNetwork, Signals
 from ._rules import (
     AbstractRule,
     Counts,
@@ -101,7 +103,7 @@ class PERAL(AbstractRule):
 
 
 def check_layers(network: AdaptiveNetwork) -> str | None:
-    """Why a rule of proportional allocation cannot train such a network; none if it can."""
+    """Return why proportional allocation cannot train such a network; None if it can."""
     if any(layer.layers for subnetwork in network.subnetworks for layer in subnetwork.contexts):
         return (
             "PERAL cannot train weights that a subnetwork computes (3.3.5): it allocates errors to"

@@ -1,19 +1,275 @@
-from collections.abc import Sequence
-from typing import Literal
+"""Plan of a training: learning rules and their turns, rates, cost, and what ends it.
+
+`Schedule` gives turns in bouts (thesis 7.5) or by an indicator (`SwitchWhen`, 8.2.2). Rates are
+fixed or adapted (6.3.1).
+"""
+
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Literal, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..adaptive import AdaptiveNetwork
 from ._costs import Cost, half_rms
-from ._rates import AbstractRates, AdaptedRates
+from ._examples import Examples
+from ._network import AdaptiveNetwork
 from ._rules import AbstractRule
-from ._switching import SwitchWhen
+
+
+Rates = Float[Array, " groups"]
+CostsAfter = Callable[[Float[Array, "trials groups"]], Float[Array, " trials"]]
+
+
+class AbstractRates(eqx.Module):
+    """Learning rates, one an adaptive layer, and how they change before each epoch.
+
+    **Attributes**
+
+    - `start`: (groups,) or one for all.
+    """
+
+    start: eqx.AbstractVar[Float[Array | np.ndarray, "..."] | float]
+
+    @abstractmethod
+    def choose(
+        self, rates: Rates, before: Float[Array, ""], costs_after: CostsAfter
+    ) -> tuple[Rates, Bool[Array, ""]]:
+        """The rates for an epoch, (groups,), and whether it moves the weights at them.
+
+        - `rates`: those of the epoch before.
+        - `before`: the cost as it stands.
+        - `costs_after`: from (trials, groups) rates to the (trials,) costs that they would lead to.
+        """
+
+    @abstractmethod
+    def taking_over(self, rates: Rates, best: Rates) -> Rates:
+        """The rates of a rule that takes over because it promised most.
+
+        - `rates`: those that it left, or began with.
+        - `best`: those at which the first epoch would gain most.
+        """
+
+
+class FixedRates(AbstractRates):
+    """Rates that stay as they are."""
+
+    start: Float[Array | np.ndarray, "..."] | float
+
+    def choose(
+        self, rates: Rates, before: Float[Array, ""], costs_after: CostsAfter
+    ) -> tuple[Rates, Bool[Array, ""]]:
+        del before, costs_after
+        return rates, jnp.ones((), bool)
+
+    def taking_over(self, rates: Rates, best: Rates) -> Rates:
+        del best
+        return rates
+
+
+class AdaptedRates(AbstractRates):
+    """The highest rates that stay stable, as thesis 6.3.1 finds them, each for itself (6.3.2).
+
+    Before each epoch, a rate goes up by a tenth if that makes the reduction of the cost a
+    further 8 % greater, or else down by a tenth if that makes the cost any lower. 'A further
+    8 % or greater reduction' is read as of the reduction: a tenth more of a small step gains a
+    tenth more at most, so that 8 % asks that the step still be nearly all gain. Where several
+    layers have a rate each, it is 8 % of what this layer's own rate gains: of five that share
+    in a reduction, a tenth more of one can never add 8 % to the whole.
+
+    For a cost that is a parabola along the step, a rate rises to 31 % of the best one and falls
+    from 105 %.
+
+    Rates are to be the highest 'whilst remaining stable'. Of several, each may be, and all at
+    once not: an epoch that would raise the cost is not taken at the adapted rates but at the
+    present ones, and if these would raise it as well, not at all, while all rates go down by a
+    tenth. Without this, two-layer networks and PERAL on a CSLC diverged more often than not. One
+    rate alone may raise the cost by up to the 8 %: rules do not follow the slope of every cost, and
+    where the least of moves raises it, refusing would be to stand still for ever (83 of 100
+    backpropagations of the ultrasound problem did, by the mean error modulus). Beyond, it only
+    goes down: by a tenth at a time it comes down too late, and backpropagation of a linear layer
+    with correlated inputs diverged in four of four trainings.
+
+    **Attributes**
+
+    - `start`: (groups,) or one for all.
+    - `step`: the tenth.
+    - `gain`: the 8 %.
+    - `floor`: the part of its start that no rate falls below: where a layer's part of the cost is
+      lost in rounding, its rate would wander off and take hundreds of epochs to come back.
+    """
+
+    start: Float[Array | np.ndarray, "..."] | float
+    step: float = 0.1
+    gain: float = 0.08
+    floor: float = 1e-4
+
+    def choose(
+        self, rates: Rates, before: Float[Array, ""], costs_after: CostsAfter
+    ) -> tuple[Rates, Bool[Array, ""]]:
+        after = costs_after(self.trials(rates))
+        adapted = self.adapted(rates, before, after)
+        lower = jnp.maximum((1.0 - self.step) * jnp.minimum(rates, adapted), self._least(rates))
+        # Comparisons are false for a cost that is not finite.
+        if rates.shape[0] == 1:
+            trials = self.trials(rates)[:, 0]  # the adapted rate is one: its cost is there
+            moves = after[jnp.argmin(jnp.abs(trials - adapted[0]))] <= (1.0 + self.gain) * before
+            return jnp.where(moves, adapted, lower), moves
+        (jointly,) = costs_after(adapted[None])
+        good, bearable = jointly <= before, after[0] <= before
+        return jnp.where(good, adapted, jnp.where(bearable, rates, lower)), good | bearable
+
+    def taking_over(self, rates: Rates, best: Rates) -> Rates:
+        """Return rates as high as `choose` raises them for a parabolic cost: 31 % of the best."""
+        step, gain = self.step, self.gain
+        raised = jnp.maximum(2.0 * (step - gain) / (2.0 * step + step**2 - gain), 0.0)
+        return jnp.where(rates > 0, jnp.maximum(raised * best, self._least(rates)), 0.0)
+
+    def trials(self, rates: Rates) -> Float[Array, "trials groups"]:
+        """Return the rates to compare: the present ones, then each higher, lower and at nothing."""
+        steps, present = self.step * jnp.diag(rates), rates[None]
+        trials = [present, present + steps, present - steps]
+        if rates.shape[0] > 1:  # of a single one, at nothing is the cost before
+            trials.append(present - jnp.diag(rates))
+        return jnp.concatenate(trials)
+
+    def adapted(
+        self, rates: Rates, before: Float[Array, ""], after: Float[Array, " trials"]
+    ) -> Rates:
+        """Each rate by itself, (groups,), given the cost after every trial."""
+        groups = rates.shape[0]
+        present, higher, lower = after[0], after[1 : 1 + groups], after[1 + groups : 1 + 2 * groups]
+        without = after[1 + 2 * groups :] if groups > 1 else before[None]
+        gain_alone = without - present
+        # A trial that is not finite gains nothing; where the present one is not, go down.
+        up = (gain_alone > 0) & (present - higher >= self.gain * gain_alone)
+        down = (lower < present) | ~jnp.isfinite(present)
+        factor = jnp.where(up, 1.0 + self.step, jnp.where(down, 1.0 - self.step, 1.0))
+        return jnp.maximum(rates * factor, self._least(rates))
+
+    def _least(self, rates: Rates) -> Rates:
+        """The floor; layers that are frozen stay at zero."""
+        return jnp.where(rates > 0, self.floor * jnp.asarray(self.start, rates.dtype), 0.0)
+
+
+class SwitchWhen(eqx.Module):
+    """Gives the turn to the rule whose next epoch promises the greatest gain (thesis 8.2.2).
+
+    An epoch of a rule would change the outputs of all patterns by s, a vector. Of the errors e, it
+    can remove the part cos²(s, e) of their sum of squares, and it does so at e's / s's times its
+    rates: exactly where outputs are linear in the weights, and to first order elsewhere. This part
+    is known before the epoch, for every rule, and needs no knowledge of the end. For gradient
+    descent it falls as training advances into a valley; for PERAL it falls where its allocation no
+    longer points to lower errors.
+
+    A rule that takes over starts at the best rates in the proportion that they had among layers, if
+    its rates are adapted.
+
+    **Attributes**
+
+    - `every`: epochs to the next look after the first, and after a change of turn. A look costs
+      about an epoch of each other rule, and each that changes nothing doubles the time to the next.
+    - `margin`: how many times the gain of the present rule another one must promise, both divided
+      by the duration of an epoch; above one, so that turns do not change for nothing.
+    - `durations`: of an epoch of each rule, in proportion; equal if omitted.
+
+    **Raises** `ValueError` for an `every` below one, a margin that is not positive, or a duration
+    that is not.
+
+    >>> from jaxcslc.training import PERAL, Backpropagation, Plan, Schedule, SwitchWhen
+    >>> plan = Plan(Schedule((Backpropagation(), PERAL()), switch=SwitchWhen()))
+    >>> plan.schedule.switch.every
+    5
+    """
+
+    every: Int[Array, ""] | int = 5
+    margin: Float[Array, ""] | float = 1.5
+    durations: tuple[Float[Array, ""] | float, ...] | None = None
+
+    def __check_init__(self) -> None:
+        if self.every < 1:
+            raise ValueError(f"switch: expected an epoch or more between looks, got {self.every}")
+        if not self.margin > 0.0:
+            raise ValueError(f"switch: expected a margin above zero, got {self.margin}")
+        if self.durations is not None and not all(x > 0.0 for x in self.durations):
+            raise ValueError(f"switch: expected durations above zero, got {self.durations}")
+
+    def preferred(self, present: Int[Array, ""], gains: Float[Array, " rules"]) -> Int[Array, ""]:
+        """The rule to go on with, given what the next epoch of each promises.
+
+        >>> import jax.numpy as jnp
+        >>> from jaxcslc.training import SwitchWhen
+        >>> present = jnp.asarray(0)
+        >>> int(SwitchWhen(margin=1.5).preferred(present, jnp.asarray([0.10, 0.14])))
+        0
+        >>> int(SwitchWhen(margin=1.5).preferred(present, jnp.asarray([0.10, 0.16])))
+        1
+        """
+        durations = jnp.ones(gains.shape) if self.durations is None else jnp.asarray(self.durations)
+        worth = gains / durations
+        best = jnp.argmax(worth)
+        return jnp.where(worth[best] > self.margin * worth[present], best, present)
+
+
+class Promise(NamedTuple):
+    """Promise of an epoch of every rule.
+
+    - `gains`: the part of the sum of squared errors that it would remove, 0 to 1.
+    - `rates`: at which it would.
+    - `changes`: of the weights, at a rate of one.
+    """
+
+    gains: Float[Array, " rules"]
+    rates: Float[Array, "rules groups"]
+    changes: Float[Array, "rules groups weights"]
+
+
+def promise(
+    network: AdaptiveNetwork,
+    rules: tuple[AbstractRule, ...],
+    training_set: Examples,
+    weights: Float[Array, " weights"],
+    rates: Float[Array, "rules groups"],
+    learning: tuple[bool, ...],
+) -> Promise:
+    """Gains of all rules, with rates in their present proportion."""
+    errors = training_set.errors(network, weights)
+
+    def outputs(w: Array) -> Array:
+        return network.activation.value(training_set.totals(network, w)) * training_set.counts
+
+    gains: list[Array] = []
+    best: list[Array] = []
+    changes: list[Array] = []
+    for rule, own_rates in zip(rules, rates, strict=True):
+        changes.append(training_set.change(network, rule, weights, learning))
+        _, moved = jax.jvp(outputs, (weights,), (own_rates @ changes[-1],))
+        gain, multiple = line_gain(errors, moved)
+        gains.append(gain)
+        best.append(jnp.where(gain > 0.0, multiple, 1.0) * own_rates)
+    return Promise(jnp.stack(gains), jnp.stack(best), jnp.stack(changes))
+
+
+def line_gain(
+    errors: Float[Array, "outputs patterns"], moved: Float[Array, "outputs patterns"]
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """cos² of the angle between errors and a change of outputs, and the best multiple of it.
+
+    Zero, and zero, where the change leads away from the errors, or is none.
+    """
+    along = jnp.maximum(jnp.sum(errors * moved), 0.0)
+    square, of_errors = jnp.sum(moved**2), jnp.sum(errors**2)
+    usable = (along > 0.0) & jnp.isfinite(square) & (square > 0.0)
+    multiple = jnp.where(usable, along / jnp.where(usable, square, 1.0), 0.0)
+    share = along / jnp.where(usable, of_errors, 1.0)
+    return jnp.where(usable, jnp.minimum(multiple * share, 1.0), 0.0), multiple
 
 
 class Schedule(eqx.Module):
-    """Which rule learns when: one alone, or bouts of several by turns (thesis 7.5).
+    """Schedule of learning rules: one alone, or bouts of several by turns (thesis 7.5).
 
     **Attributes**
 
@@ -79,7 +335,7 @@ class Schedule(eqx.Module):
 
 
 class Turn(eqx.Module):
-    """Whose turn it is.
+    """State of the turns of a schedule's rules.
 
     **Attributes**
 
@@ -160,12 +416,12 @@ class Turn(eqx.Module):
         )
 
     def ended(self, schedule: Schedule) -> Bool[Array, ""]:
-        """Whether no rule gains enough any more."""
+        """Return whether no rule gains enough any more."""
         return self.handed_over & (self.spent >= len(schedule.rules))
 
 
 class Plan(eqx.Module):
-    """How to train: rules and their turns, rates, cost, and what ends it.
+    """Plan of a training: rules and their turns, rates, cost, and what ends it.
 
     **Attributes**
 
@@ -232,7 +488,7 @@ class Plan(eqx.Module):
         self.stop_patience, self.patience, self.divergence = stop_patience, patience, divergence
 
     def learning(self, network: AdaptiveNetwork) -> tuple[bool, ...]:
-        """Which adaptive layers learn, in the order of `network.groups`.
+        """Return whether each adaptive layer learns, in the order of `network.groups`.
 
         **Raises** `ValueError` if `frozen` names something else, or everything.
         """

@@ -1,4 +1,7 @@
-"""Pruning: which links of a network its training-set error does not need (thesis 3.6.2)."""
+"""Pruning: removal of links that a network's training-set error does not need (thesis 3.6.2).
+
+`_compact` builds the smaller network.
+"""
 
 import dataclasses
 import functools
@@ -9,12 +12,13 @@ import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..adaptive import AdaptiveNetwork, compact
+from ._compact import compact
+from ._network import AdaptiveNetwork
 
 
 @dataclasses.dataclass(frozen=True)
 class LinkEnds:
-    """Which node each weight's link leads from, and which node it leads to.
+    """Nodes that each weight's link leads from and leads to.
 
     Nodes have numbers of the caller's choice. Inputs are nodes, and so is the constant input of
     biases. A weight that belongs to a node without being a link (the width of a radial basis
@@ -43,7 +47,7 @@ class LinkEnds:
 
 @dataclasses.dataclass(frozen=True)
 class Pruning:
-    """What pruning left of a network, and what it took.
+    """Result of pruning a network: what is left, and what was removed.
 
     **Attributes**
 
@@ -69,7 +73,8 @@ class Pruning:
     finished: bool
 
     def compact(self, network: AdaptiveNetwork) -> tuple[AdaptiveNetwork, Float[Array, " left"]]:
-        """Return the network without what is removed, and its weights: see `adaptive.compact`.
+        """Return the network without what is removed, and its weights: see
+        `jaxcslc.training.compact`.
 
         **Raises** `ValueError` if the network has another number of weights.
         """
@@ -95,7 +100,7 @@ def prune(
     block: int = 64,
     progress: Callable[[int, int], None] | None = None,
 ) -> Pruning:
-    """Removes the links to which a network's training-set error is not sensitive (3.6.2).
+    """Remove the links to which a network's training-set error is not sensitive (3.6.2).
 
     To remove a link is to make its weight zero. An increase is *marked* when it takes the cost
     above (1 + `tolerance`) times the cost of the network as it was given: the increases of all
@@ -199,7 +204,7 @@ def _walk(
     going: Int[np.ndarray, " going"],
     limit: float,
 ) -> Iterator[Bool[np.ndarray, " p"]]:
-    """What is kept after each removal that is accepted, in the order of `going`.
+    """Yield what is kept after each removal that is accepted, in the order of `going`.
 
     The same as one trial after the other. After an acceptance a block tries the next links all
     together: the first, the first two, the first three; all before the first marked increase
@@ -272,7 +277,7 @@ def _costs(
 
 
 class _Wiring:
-    """Which nodes go when links go."""
+    """Removal of nodes whose links were removed."""
 
     def __init__(self, links: LinkEnds | None) -> None:
         if links is None:
@@ -293,7 +298,10 @@ class _Wiring:
     def without(
         self, kept: Bool[np.ndarray, " p"], gone: Int[np.ndarray, " gone"]
     ) -> Bool[np.ndarray, " p"]:
-        """What is kept when links go, and the nodes that this leaves without a link from them."""
+        """Return what is kept when links go.
+
+        Nodes that this leaves without a link from them go too.
+        """
         left = kept.copy()
         left[gone] = False
         while self.nodes.size and np.any(to_dead := left & self._dead(left)[self.target]):

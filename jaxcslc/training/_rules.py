@@ -1,3 +1,8 @@
+"""Learning rules: their base class, the perceptron rule and backpropagation (thesis 3.4).
+
+A rule states how far an epoch moves the weights at a rate of one. PERAL is in `_peral`.
+"""
+
 from abc import abstractmethod
 from collections.abc import Sequence
 
@@ -7,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..adaptive import AdaptiveNetwork, Links, Signals
+from ._activations import HARD_LIMITER
+from ._network import AdaptiveNetwork, Layer, Links, Signals
 
 
 Weights = Float[Array, " weights"]
@@ -30,16 +36,16 @@ class AbstractRule(eqx.Module):
     @property
     @abstractmethod
     def name(self) -> str:
-        """For histories and messages."""
+        """Name of the rule for histories and messages."""
 
     @abstractmethod
     def check_network(self, network: AdaptiveNetwork) -> str | None:
-        """Why this rule cannot train such a network, in one line; none if it can."""
+        """Return why this rule cannot train such a network, in one line; None if it can."""
 
     def check_start(
         self, network: AdaptiveNetwork, weights: np.ndarray, learning: tuple[bool, ...]
     ) -> str | None:
-        """Why this rule cannot start from such weights, in one line; none if it can."""
+        """Return why this rule cannot start from such weights, in one line; None if it can."""
         del network, weights, learning
         return None
 
@@ -49,7 +55,7 @@ class AbstractRule(eqx.Module):
         signals: Signals,
         counts: Counts,
     ) -> str | None:
-        """Why these patterns cannot lead anywhere, in one line; none if they can."""
+        """Return why these patterns cannot lead anywhere, in one line; None if they can."""
         del network, signals, counts
         return None
 
@@ -63,8 +69,9 @@ class AbstractRule(eqx.Module):
         counts: Counts,
         learning: tuple[bool, ...],
     ) -> Float[Array, "groups weights"]:
-        """What each adaptive layer contributes to the change of the weights, (groups, p); zero for
-        weights that none of its links has.
+        """Compute each adaptive layer's contribution to the change of the weights, (groups, p).
+
+        It is zero for weights that none of the layer's links has.
 
         - `signals`, `targets`: as in `Examples`.
         - `counts`: (outputs, patterns), or (subnetworks, outputs, patterns): a node's error then
@@ -75,7 +82,7 @@ class AbstractRule(eqx.Module):
 
 
 def of_subnetwork(counts: Counts, number: int) -> Numbers:
-    """What counts for one subnetwork."""
+    """Return the counts of one subnetwork."""
     return counts[number] if counts.ndim == 3 else counts
 
 
@@ -86,7 +93,7 @@ def change_of_weights(
     *,
     by_sign: bool = False,
 ) -> Float[Array, "groups weights"]:
-    """From moves of links to changes of weights: averages over the links that share (5.2.6).
+    """Convert moves of links to changes of weights: averages over the links that share (5.2.6).
 
     - `moves`: one (nodes, inputs) matrix an adaptive layer.
     - `by_sign`: whether a link's known multiple enters by its sign only, for a rule that moves
@@ -108,7 +115,7 @@ def change_of_weights(
 def links_per_weight(
     layers: Sequence[Links], size: int, learning: tuple[bool, ...]
 ) -> Float[np.ndarray, " weights"]:
-    """How many learning links share each weight; one for weights that none has."""
+    """Count the learning links that share each weight; 1 for weights that none has."""
     numbers = np.zeros(size)
     for links, learns in zip(layers, learning, strict=True):
         if learns:
@@ -119,3 +126,125 @@ def links_per_weight(
 def transposed_product(left: Array, right: Array) -> Array:
     """`left @ right.T` over the patterns."""
     return jax.lax.dot_general(left, right, (((1,), (1,)), ((), ())))
+
+
+class PerceptronRule(AbstractRule):
+    """Rosenblatt's rule for one layer of hard limiters (Eqn. 3.4-1): dW = x'(t - y).
+
+    For targets that can be separated by a hyperplane, sequential training ends in finitely many
+    steps from any weights.
+    """
+
+    @property
+    def name(self) -> str:
+        return "perceptron rule"
+
+    def check_network(self, network: AdaptiveNetwork) -> str | None:
+        plain = len(network.subnetworks) == 1 and not network.subnetworks[0].contexts
+        if not plain or not network.single_adaptive_layer:
+            return "the perceptron rule trains one layer only: hidden nodes have no target (3.4.1)"
+        if network.activation != HARD_LIMITER:
+            return f"the perceptron rule trains hard limiters, not a {network.activation.name}"
+        return None
+
+    def change(
+        self,
+        network: AdaptiveNetwork,
+        weights: Weights,
+        signals: Signals,
+        targets: Numbers,
+        counts: Counts,
+        learning: tuple[bool, ...],
+    ) -> Float[Array, "groups weights"]:
+        passage = network.forward(weights, signals)
+        errors = (targets - network.activation.value(passage.total)) * of_subnetwork(counts, 0)
+        move = transposed_product(errors, passage.layer_inputs[0][0])
+        return change_of_weights(network, [move], learning)
+
+
+class Backpropagation(AbstractRule):
+    """Gradient descent on half the sum of squared errors (Eqns. 3.4-2 to 3.4-9).
+
+    Through any number of adaptive layers and context-sensitive ones, and through the layers that
+    compute context-sensitive weights (3.3.5). The change of a shared
+    weight is its gradient, by the chain rule through every link's multiple, divided by how many
+    links share it (5.2.6): at one rate for all layers it vanishes where the gradient does.
+
+    Pairs that count for some subnetworks only (7.2.2) have errors in these alone. The change is
+    then the gradient of no cost, and training ends at `NormalEquations.solution`.
+    """
+
+    @property
+    def name(self) -> str:
+        return "backpropagation"
+
+    def check_network(self, network: AdaptiveNetwork) -> str | None:
+        activations = [layer.activation for _, layer in network.adaptive_layers]
+        for activation in (network.activation, *activations):
+            if activation.slope is None:
+                return (
+                    f"backpropagation needs a slope, and a {activation.name} has none; train it"
+                    " by the perceptron rule, or take a sigmoid"
+                )
+        return None
+
+    def change(
+        self,
+        network: AdaptiveNetwork,
+        weights: Weights,
+        signals: Signals,
+        targets: Numbers,
+        counts: Counts,
+        learning: tuple[bool, ...],
+    ) -> Float[Array, "groups weights"]:
+        passage = network.forward(weights, signals)
+        slope = network.activation.slope
+        assert slope is not None, self.check_network(network)
+        errors = targets - network.activation.value(passage.total)
+        slopes = slope(passage.total)
+
+        moves: list[Array] = []
+        for at, subnetwork in enumerate(network.subnetworks):
+            delta = errors * of_subnetwork(counts, at) * slopes
+            inputs, sums = passage.layer_inputs[at], passage.sums[at]
+            end = len(inputs)
+            subnetwork_moves: list[Array] = []  # from the last layer to the first
+            for number in reversed(range(len(subnetwork.contexts))):
+                layer = subnetwork.contexts[number]
+                first = end - len(layer.layers)
+                if layer.layers:
+                    at_weights = layer.backward_to_contexts(delta, passage.values[at][number])
+                    subnetwork_moves += _moves_back(
+                        layer.layers, weights, at_weights, inputs[first:end], sums[first:end]
+                    )
+                delta = layer.backward(delta, passage.contexts[at][number])
+                end = first
+            subnetwork_moves += _moves_back(
+                subnetwork.layers, weights, delta, inputs[:end], sums[:end]
+            )
+            moves += reversed(subnetwork_moves)
+        return change_of_weights(network, moves, learning)
+
+
+def _moves_back(
+    layers: Sequence[Layer],
+    weights: Weights,
+    delta: Float[Array, "nodes patterns"],
+    inputs: Sequence[Array],
+    sums: Sequence[Array],
+) -> list[Array]:
+    """Moves of the links of adaptive layers in a row, from the last layer to the first.
+
+    - `delta`: errors carried back to the outputs of the last layer.
+    """
+    moves: list[Array] = []
+    for number in reversed(range(len(layers))):
+        layer = layers[number]
+        # The linear combiner's slope of one is skipped, as is the output layer's, whose
+        # activation is the network's.
+        if layer.activation.slope not in (None, jnp.ones_like):
+            delta = delta * layer.activation.slope(sums[number])  # pyright: ignore[reportOptionalCall]
+        moves.append(transposed_product(delta, inputs[number]))
+        if number > 0:
+            delta = (layer.links.matrix(weights).T @ delta)[: layer.inputs]
+    return moves

@@ -1,3 +1,7 @@
+"""Trainings, one or thousands side by side, with checkpoints from which they resume."""
+
+import hashlib
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +13,103 @@ from jaxtyping import Array, Float, Key
 from tqdm import tqdm
 
 from .._environment import platform_of, require_float64
-from ..adaptive import AdaptiveNetwork
-from ._checkpoint import Checkpoint
-from ._epoch import Record, State, epoch
+from .._scratch import unfinished
+from ._epoch import Record, TrainingState, epoch
 from ._examples import Examples
 from ._history import OUTCOMES, History, Training
+from ._kernel import kernel_of
+from ._network import AdaptiveNetwork
 from ._normal_equations import NormalEquations
 from ._plan import Plan, Schedule
 from ._rules import AbstractRule
-from .fused import kernel_of
+
+
+class Checkpoint:
+    """A training's file: where it stands, its history so far, and what it is a training of.
+
+    - `path`: of a NumPy archive; written whole beside it and then moved into place, so that an
+      interruption leaves the last one intact.
+    - `made_of`: whatever the result depends on.
+    """
+
+    def __init__(self, path: Path, made_of: Any) -> None:
+        self.path = path
+        self.fingerprint = _fingerprint(made_of)
+
+    def load(self, state: TrainingState) -> tuple[TrainingState, list[Record], int]:
+        """The state, records and number of epochs saved last; those given if there is no file.
+
+        **Raises** `ValueError` if the file is no checkpoint, or one of another training.
+        """
+        if not self.path.exists():
+            return state, [], 0
+        try:
+            with self.path.open("rb") as file, np.load(file) as archive:
+                content = dict(archive)
+            saved_fingerprint, passed = str(content["fingerprint"]), int(content["epochs"])
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+            raise ValueError(
+                f"{self.path}: expected a checkpoint of a training, and it is none"
+            ) from None
+        if saved_fingerprint != self.fingerprint:
+            raise ValueError(
+                f"{self.path}: the checkpoint is of another training (network, patterns, plan or"
+                " start differ); give another file, or remove it to start anew"
+            )
+        leaves, structure = jax.tree.flatten(state)
+        restored = [
+            _restored(leaf, content[f"state_{number}"]) for number, leaf in enumerate(leaves)
+        ]
+        record = Record(*(content.get(f"record_{name}") for name in Record.__annotations__))  # pyright: ignore[reportArgumentType]
+        return jax.tree.unflatten(structure, restored), [record], passed
+
+    def save(self, state: TrainingState, records: list[Record], passed: int) -> None:
+        """Replace the file."""
+        content: dict[str, Any] = {"fingerprint": self.fingerprint, "epochs": passed}
+        for number, leaf in enumerate(jax.tree.leaves(state)):
+            content[f"state_{number}"] = _plain(leaf)
+        axis = state.cost.ndim
+        whole = jax.tree.map(lambda *parts: np.concatenate(parts, axis=axis), *records)
+        for name in Record.__annotations__:
+            if (value := getattr(whole, name)) is not None:
+                content[f"record_{name}"] = value
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with unfinished(self.path) as path, path.open("wb") as file:
+            np.savez(file, **content)
+
+
+def _plain(leaf: Any) -> np.ndarray:
+    if isinstance(leaf, Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+        return np.asarray(jax.random.key_data(leaf))
+    return np.asarray(leaf)
+
+
+def _restored(leaf: Any, saved: np.ndarray) -> Array:
+    if isinstance(leaf, Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+        return jax.random.wrap_key_data(jnp.asarray(saved), impl=jax.random.key_impl(leaf))
+    return jnp.asarray(saved, leaf.dtype)
+
+
+def _fingerprint(made_of: Any) -> str:
+    """Hash the numbers and the structure of a training.
+
+    Equal trainings have the same hash in every process.
+    """
+    leaves, structure = jax.tree.flatten(made_of)
+    digest = hashlib.sha256(_without_addresses(str(structure)).encode())
+    for leaf in leaves:
+        if callable(leaf):  # such as a preprocessing: as a number it would be an address
+            digest.update(_without_addresses(str(leaf)).encode())
+            continue
+        values = _plain(leaf)
+        digest.update(f"{values.dtype} {values.shape}".encode())
+        digest.update(values.tobytes())
+    return digest.hexdigest()
+
+
+def _without_addresses(text: str) -> str:
+    """Remove memory addresses, which functions print and which differ from process to process."""
+    return " ".join(word for word in text.replace(">", " ").split() if not word.startswith("0x"))
 
 
 # Where kernels compute changes and costs, and nothing of a pattern is in memory for a training.
@@ -40,7 +132,7 @@ def train(
     progress: bool = False,
     throw: bool = True,
 ) -> Training:
-    """Trains a network, or thousands of copies of it side by side (thesis 3.4, 6.3, 7.5).
+    """Train a network, or thousands of copies of it side by side (thesis 3.4, 6.3, 7.5).
 
     **Arguments**
 
@@ -72,7 +164,7 @@ def train(
     `jax.vmap` needs no loop of this kind: see `training_steps`, which this calls chunk by chunk.
 
     >>> import jax.numpy as jnp
-    >>> from jaxcslc.adaptive import fully_connected
+    >>> from jaxcslc.training import fully_connected
     >>> from jaxcslc.training import PerceptronRule, Plan, FixedRates, examples, train
     >>> network = fully_connected([2, 1], "hard limiter")
     >>> x = jnp.asarray([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])
@@ -96,9 +188,9 @@ def train(
         start = jnp.broadcast_to(start, (trainings, network.size))
         if key.ndim == 0:
             key = jax.random.split(key, trainings)
-        state = jax.vmap(lambda w, k: State.first(network, plan, w, k))(start, key)
+        state = jax.vmap(lambda w, k: TrainingState.first(network, plan, w, k))(start, key)
     else:
-        state = State.first(network, plan, start, key)
+        state = TrainingState.first(network, plan, start, key)
 
     records: list[Record] = []
     passed, saved = 0, None
@@ -145,12 +237,12 @@ def training_steps(
     plan: Plan,
     training_set: Examples | NormalEquations,
     stop_set: Examples | None,
-    state: State,
+    state: TrainingState,
     epochs: int,
     keep_weights: bool = False,
     rule: int | None = None,
-) -> tuple[State, Record]:
-    """So many epochs of one training: a pure function of its state, to be vmapped at will.
+) -> tuple[TrainingState, Record]:
+    """Run epochs of one training: a pure function of its state, to be vmapped at will.
 
     A training that has ended waits, its state unchanged. Returns the state and the records,
     with a leading axis of epochs.
@@ -158,7 +250,7 @@ def training_steps(
     - `rule`: of trainings in step, the index of the rule that learns in all these epochs.
     """
 
-    def step(state: State, _: None) -> tuple[State, Record]:
+    def step(state: TrainingState, _: None) -> tuple[TrainingState, Record]:
         return epoch(network, plan, training_set, stop_set, state, keep_weights, rule)
 
     return jax.lax.scan(step, state, None, length=epochs)
@@ -170,13 +262,13 @@ def _many_steps(
     plan: Plan,
     training_set: Examples | NormalEquations,
     stop_set: Examples | None,
-    state: State,
+    state: TrainingState,
     epochs: int,
     keep_weights: bool,
     block: int,
     many: bool,
     rule: int | None,
-) -> tuple[State, Record]:
+) -> tuple[TrainingState, Record]:
     if not many:
         return training_steps(
             network, plan, training_set, stop_set, state, epochs, keep_weights, rule
@@ -187,7 +279,7 @@ def _many_steps(
     numbers = (plan.schedule.hand_over, plan.schedule.least_reduction, plan.target)
     mapped_numbers = tuple(x if jnp.ndim(x) == 1 else None for x in numbers)
 
-    def one(mapped: Any) -> tuple[State, Record]:
+    def one(mapped: Any) -> tuple[TrainingState, Record]:
         state, training_set_of_one, stop_set_of_one, numbers_of_one = mapped
         replaced = tuple(
             x if y is None else y for x, y in zip(numbers, numbers_of_one, strict=True)
@@ -211,7 +303,7 @@ def _many_steps(
 
 
 def _turn_in_step(
-    schedule: Schedule, state: State, records: list[Record], passed: int
+    schedule: Schedule, state: TrainingState, records: list[Record], passed: int
 ) -> tuple[int, int]:
     """The rule whose turn it is, and how many epochs of its bout are left."""
     begun = _rounds_begun(schedule, state, records, passed)
@@ -226,7 +318,7 @@ def _turn_in_step(
 
 
 def _rounds_begun(
-    schedule: Schedule, state: State, records: list[Record], passed: int
+    schedule: Schedule, state: TrainingState, records: list[Record], passed: int
 ) -> int | None:
     """The epoch in which the second rule learnt first; None before every training is handed over.
 
@@ -243,7 +335,9 @@ def _rounds_begun(
     return passed if bool(jnp.all(state.turn.handed_over | state.done)) else None
 
 
-def _ended_in_step(schedule: Schedule, state: State, records: list[Record], passed: int) -> State:
+def _ended_in_step(
+    schedule: Schedule, state: TrainingState, records: list[Record], passed: int
+) -> TrainingState:
     """The state after a round of bouts: trainings to which it brought too little have ended."""
     begun = _rounds_begun(schedule, state, records, passed)
     length = sum(schedule.bouts)
@@ -263,8 +357,10 @@ def _ended_in_step(schedule: Schedule, state: State, records: list[Record], pass
 def _block(
     network: AdaptiveNetwork, training_set: Examples | NormalEquations, plan: Plan, trainings: int
 ) -> int:
-    """How many of all trainings side by side; a part of them, since the program is compiled once
-    more for what remains of a division."""
+    """Return the number of trainings to run side by side.
+
+    A divisor of all trainings is preferred: a remainder needs another compilation.
+    """
     most = min(_largest_block(network, training_set, plan), trainings)
     even = max(size for size in range(1, most + 1) if trainings % size == 0)
     return even if 2 * even > most else most
@@ -273,7 +369,7 @@ def _block(
 def _largest_block(
     network: AdaptiveNetwork, training_set: Examples | NormalEquations, plan: Plan
 ) -> int:
-    """On a CPU what stays near its caches."""
+    """Return the most trainings to run side by side; on a CPU, those that stay near its caches."""
     if isinstance(training_set, NormalEquations):
         return 256
     if platform_of(training_set.targets) == "cpu":
@@ -299,7 +395,7 @@ def _largest_block(
 
 
 def _training(
-    state: State, records: list[Record], stop_set: bool, network: AdaptiveNetwork
+    state: TrainingState, records: list[Record], stop_set: bool, network: AdaptiveNetwork
 ) -> Training:
     axis = state.cost.ndim
     if records:
@@ -324,14 +420,17 @@ def _training(
 
 
 def _of_arrays(plan: Plan) -> Plan:
-    """Its numbers as arrays, which are no part of a compiled function: others compile nothing."""
+    """Return the plan with its numbers as arrays, which are no part of a compiled function.
+
+    Other numbers then compile nothing.
+    """
     return jax.tree.map(lambda x: jnp.asarray(x) if eqx.is_array_like(x) else x, plan)
 
 
 def _check_numbers(
     plan: Plan, stop_set: Examples | None, key: Array, trainings: int | None
 ) -> None:
-    """What there may be one of, or one for each training."""
+    """Check that numbers are single, or one for each training."""
     if stop_set is not None:
         require_float64(*stop_set.arrays)
     sets = None if stop_set is None or stop_set.trainings is None else (stop_set.trainings,)

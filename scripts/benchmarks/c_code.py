@@ -22,7 +22,8 @@ import pinocchio as pin
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
+from jaxcslc._text_table import text_table
+from jaxcslc.report import all_or_nothing, write_csv
 from scripts.benchmarks.c_library import shared_library
 
 

@@ -25,12 +25,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 import jaxcslc as jc
 from jaxcslc._environment import core_count
-from jaxcslc.identification.solver import (
-    Unknowns,
-    factorise,
-    factors_of,
-    minimum,
-)
+from jaxcslc.least_squares import Unknowns, factorise, factors_of, minimum
 from scripts.benchmarks.exact_solution import exact_coefficients
 from scripts.benchmarks.metrics import Metric, best_of
 

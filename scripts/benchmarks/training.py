@@ -17,10 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.adaptive import AdaptiveNetwork, inverse_dynamics
 from jaxcslc.training import (
     PERAL,
     AdaptedRates,
+    AdaptiveNetwork,
     Backpropagation,
     Examples,
     FixedRates,
@@ -28,6 +28,7 @@ from jaxcslc.training import (
     Plan,
     examples,
     half_square,
+    inverse_dynamics,
     normal_equations,
     train,
 )

@@ -10,9 +10,9 @@ and judged on the last third.
 **Judged quantity.** The torque of the usual method: linearly interpolated to 1 kHz by its
 stamps, which are 0.7 to 8.8 ms apart, stale rows and all; raw, and through a 5 Hz low pass.
 
-The robot's own clock can be restored from the motion (`jaxcslc.motion.restore_clock`): positions
-then agree to 2e-6 rad where the stamps put them wrong by up to 2e-4. It is not used here, because
-the torques to be judged are those at the stamps.
+The robot's own clock can be restored from the motion (`jaxcslc.recordings.restore_clock`):
+positions then agree to 2e-6 rad where the stamps put them wrong by up to 2e-4. It is not used
+here, because the torques to be judged are those at the stamps.
 
 Every number is selected on the first two thirds. The rules of selection were fixed after earlier
 ones had failed on the last third: it is no blind test.
@@ -31,7 +31,14 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.motion import Butterworth, Patterns, Recording, RecordingError, resample, zero_phase
+from jaxcslc.recordings import (
+    Butterworth,
+    Patterns,
+    Recording,
+    RecordingError,
+    resample,
+    zero_phase,
+)
 
 
 jc.enable_x64()

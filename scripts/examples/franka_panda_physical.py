@@ -23,8 +23,9 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.identification.report import all_or_nothing, text_table, write_csv, write_json
-from jaxcslc.motion import RecordingError, resample
+from jaxcslc._text_table import text_table
+from jaxcslc.recordings import RecordingError, resample
+from jaxcslc.report import all_or_nothing, write_csv, write_json
 from scripts.examples.franka_panda import DATA, PERIOD, Target, read_recording
 
 

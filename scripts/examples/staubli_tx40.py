@@ -36,9 +36,10 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 import jaxcslc as jc
-from jaxcslc.identification.report import text_table, write_csv
+from jaxcslc._text_table import text_table
 from jaxcslc.manipulator import tx40
-from jaxcslc.motion import Butterworth, Patterns, Recording, RecordingError
+from jaxcslc.recordings import Butterworth, Patterns, Recording, RecordingError
+from jaxcslc.report import write_csv
 
 
 jc.enable_x64()

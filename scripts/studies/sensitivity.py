@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxcslc import CSLC, Patterns
-from jaxcslc.identification.solver import filled_up
+from jaxcslc.least_squares import filled_up
 
 
 def output_sensitivity(network: CSLC, patterns: Patterns) -> Float[Array, " coefficients"]:

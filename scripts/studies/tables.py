@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxcslc.identification.report import text_table
+from jaxcslc._text_table import text_table
 
 
 def number_text(value: Any, digits: int = 4) -> str:

@@ -6,11 +6,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxcslc import CSLC, Identification, Settings
-from jaxcslc.identification.solver import regressor_of
-from jaxcslc.motion import (
+from jaxcslc.least_squares import regressor_of
+from jaxcslc.recordings import (
+    FrictionThresholds,
     Patterns,
     Recording,
-    StaticFriction,
     friction_thresholds,
     thresholds_from_residuals,
 )
@@ -40,7 +40,7 @@ class Refinement:
     settings: Settings
     patterns: Patterns
     fit: Identification
-    static_friction: StaticFriction
+    static_friction: FrictionThresholds
     rounds: tuple[Float[np.ndarray, " joints"], ...]
     converged: bool
 
@@ -59,7 +59,7 @@ def refine_thresholds(
     enough for static friction to show, it updates the thresholds to the speeds above which
     static friction is negligible (Fig. 7.6-4, Fig. B.6-1). With better thresholds the plateau
     beside the ramps is better known, so this goes round until thresholds converge. What the ramps
-    are and how they are distinguished from noise: see `jaxcslc.motion.thresholds_from_residuals`.
+    are and how they are told from noise: see `jaxcslc.recordings.thresholds_from_residuals`.
 
     (On simulated PUMA 560 machines, 10 seeds each: from thresholds of one hundredth to the refined,
     the error of the dry coefficients fell from 1.5 % to 0.7 %, that of the viscous from 3.2 % to
@@ -115,7 +115,7 @@ def _static_friction(
     patterns: Patterns,
     fit: Identification,
     minimum: Float[np.ndarray, " joints"],
-) -> StaticFriction:
+) -> FrictionThresholds:
     predicted = np.asarray(regressor_of(network, patterns) @ fit.k)
     return thresholds_from_residuals(
         np.asarray(patterns.qd),

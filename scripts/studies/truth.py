@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import SystematicError, uncertainty_interval
-from jaxcslc.motion import as_recorded
+from jaxcslc.recordings import as_recorded
+from jaxcslc.uncertainty import SystematicError, uncertainty_interval
 
 
 # Slower than this a joint may stick, where no model of sliding friction predicts its torque.

@@ -15,7 +15,8 @@ from jaxtyping import Float
 
 import jaxcslc as jc
 import sim
-from sim import nearest_links, puma_a, puma_b, thesis_coefficients
+from sim.machine._nearest_links import nearest_links
+from sim.machine._thesis_machines import puma_a, puma_b, thesis_coefficients
 
 
 jc.enable_x64()

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxcslc.codegen import CFunction
-
-from ._hardware import JointHardware
+from sim.engine._hardware import JointHardware
 
 
 if TYPE_CHECKING:

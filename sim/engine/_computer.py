@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxcslc.control import AbstractController, Reference
-
-from ..machine import Faults, MachineError
-from ..trajectory import AbstractPath, Trajectory
+from sim.machine._bodies import MachineError
+from sim.machine._faults import Faults
+from sim.trajectory._paths import AbstractPath
+from sim.trajectory._trajectories import Trajectory
 
 
 Array = np.ndarray | jax.Array

@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxcslc.manipulator import LinkParameters, Manipulator
-
-from ..machine import Machine, MachineError
-from ..trajectory import Hand
+from sim.machine._bodies import MachineError
+from sim.machine._machine import Machine
+from sim.trajectory._kinematics import Hand
 
 
 # Configurations in which gravity torque is evaluated: a PUMA's maximum is within 2 %.

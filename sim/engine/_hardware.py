@@ -8,8 +8,10 @@ import jax
 import numpy as np
 from jaxtyping import Int
 
-from ..machine import Drives, Encoders, Friction, Machine, Transmission, friction_of
-from ._plan import Plan, RandomDraws, stacked
+from sim.engine._plan import Plan, RandomDraws, stacked
+from sim.machine._drivetrain import Drives, Encoders, Transmission
+from sim.machine._friction import Friction, friction_of
+from sim.machine._machine import Machine
 
 
 # Arrays of NumPy or of JAX, tracers included: (machines, joints) for joints, and

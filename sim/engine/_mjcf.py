@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxcslc.manipulator import LinkParameters, Manipulator
-
-from ..machine import MachineError, possible_links
+from sim.machine._bodies import MachineError, possible_links
 
 
 # Impedance of the friction constraint: the largest that MuJoCo accepts. A joint that sticks then

@@ -9,16 +9,19 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxcslc.control import AbstractController
-
-from ..machine import Carried, Faults, Machine, MachineError, carrying
-from ..trajectory import AbstractPath, Trajectory
-from ._computer import Computer
-from ._hardware import JointHardware
-from ._mjx_mechanics import Mechanics
-from ._models import check_time_step, model_of
-from ._plan import Plan, RandomDraws, sample_times, stacked
-from ._simulate import SimulationError, assembled
-from ._truth import SimulatedRecording
+from sim.engine._computer import Computer
+from sim.engine._hardware import JointHardware
+from sim.engine._mjx_mechanics import Mechanics
+from sim.engine._models import check_time_step, model_of
+from sim.engine._plan import Plan, RandomDraws, sample_times, stacked
+from sim.engine._simulate import SimulationError, assembled
+from sim.engine._truth import SimulatedRecording
+from sim.machine._bodies import MachineError
+from sim.machine._faults import Faults
+from sim.machine._loads import Carried, carrying
+from sim.machine._machine import Machine
+from sim.trajectory._paths import AbstractPath
+from sim.trajectory._trajectories import Trajectory
 
 
 def perform_mjx(

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from mujoco import mjx
 
-from ..machine import Machine
-from ._models import structure_of
+from sim.engine._models import structure_of
+from sim.machine._machine import Machine
 
 
 Array = jax.Array | np.ndarray

@@ -8,10 +8,12 @@ import scipy.linalg
 from jaxtyping import Float
 
 from jaxcslc.manipulator import LinkParameters, Manipulator
-
-from ..machine import Machine, MachineError, Transmission, friction_of
-from ._gravity import check_gravity
-from ._mjcf import mjcf, rigid_bodies
+from sim.engine._gravity import check_gravity
+from sim.engine._mjcf import mjcf, rigid_bodies
+from sim.machine._bodies import MachineError
+from sim.machine._drivetrain import Transmission
+from sim.machine._friction import friction_of
+from sim.machine._machine import Machine
 
 
 # A fourth-order Runge-Kutta method is stable up to 2.8 rad of an undamped oscillation a step. At

@@ -7,8 +7,10 @@ from typing import Any, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from ..machine import Machine, MachineError, friction_of
-from ..trajectory import Trajectory
+from sim.machine._bodies import MachineError
+from sim.machine._friction import friction_of
+from sim.machine._machine import Machine
+from sim.trajectory._trajectories import Trajectory
 
 
 Parts = TypeVar("Parts")

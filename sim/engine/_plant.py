@@ -5,12 +5,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxcslc.manipulator import LinkParameters
-
-from ..machine import Machine, carrying
-from ._compiled_steps import batch_threads, compiled_steps
-from ._hardware import JointHardware
-from ._models import check_time_step, model_of
-from ._plan import Plan
+from sim.engine._compiled_steps import batch_threads, compiled_steps
+from sim.engine._hardware import JointHardware
+from sim.engine._models import check_time_step, model_of
+from sim.engine._plan import Plan
+from sim.machine._loads import carrying
+from sim.machine._machine import Machine
 
 
 if TYPE_CHECKING:

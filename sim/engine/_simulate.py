@@ -5,15 +5,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxcslc.motion import Recording
-
-from ..machine import Carried, Faults, Machine
-from ..trajectory import Trajectory
-from ._computer import Computer
-from ._hardware import JointHardware
-from ._plan import Plan, RandomDraws, sample_times, stacked
-from ._plant import Plant
-from ._truth import SimulatedRecording, Truth
+from jaxcslc.recordings import Recording
+from sim.engine._computer import Computer
+from sim.engine._hardware import JointHardware
+from sim.engine._plan import Plan, RandomDraws, sample_times, stacked
+from sim.engine._plant import Plant
+from sim.engine._truth import SimulatedRecording, Truth
+from sim.machine._faults import Faults
+from sim.machine._loads import Carried
+from sim.machine._machine import Machine
+from sim.trajectory._trajectories import Trajectory
 
 
 class SimulationError(RuntimeError):

@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxcslc.motion import Recording
+from jaxcslc.recordings import Recording
 
 
 class Truth(eqx.Module):

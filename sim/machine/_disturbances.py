@@ -3,9 +3,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from ._bodies import MachineError
-from ._machine import OFF, Machine
-from ._puma560 import puma560
+from sim.machine._bodies import MachineError
+from sim.machine._machine import OFF, Machine
+from sim.machine._puma560 import puma560
 
 
 def _table() -> dict[str, dict[str, Any]]:

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ._machine import Machine
+from sim.machine._machine import Machine
 
 
 @dataclass(frozen=True, eq=False)

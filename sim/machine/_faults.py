@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ._bodies import MachineError
-from ._loads import check_times, during
+from sim.machine._bodies import MachineError
+from sim.machine._loads import check_times, during
 
 
 FAULTS = ("lost samples", "stuck encoder", "reversed torque")

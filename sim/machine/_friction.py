@@ -4,8 +4,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ._drivetrain import Transmission
-from ._machine import Machine
+from sim.machine._drivetrain import Transmission
+from sim.machine._machine import Machine
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxcslc.manipulator import LinkParameters, fixed_together
-
-from ._bodies import MachineError, are_rigid_bodies
-from ._machine import Machine
+from sim.machine._bodies import MachineError, are_rigid_bodies
+from sim.machine._machine import Machine
 
 
 # Times of samples are multiples of the interval, rounded.

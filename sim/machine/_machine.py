@@ -4,8 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from jaxcslc.manipulator import LinkParameters, Manipulator
-
-from ._bodies import MachineError, possible_links, tilted_links
+from sim.machine._bodies import MachineError, possible_links, tilted_links
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,8 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from jaxcslc.manipulator import LinkInertia, LinkParameters, Manipulator
-
-from ._bodies import MachineError, possible_links
-from ._coefficient_map import PARAMETERS, CoefficientMap, links_of, parameters_of
+from sim.machine._bodies import MachineError, possible_links
+from sim.machine._coefficient_map import PARAMETERS, CoefficientMap, links_of, parameters_of
 
 
 # Regularisation: a parameter that the coefficients do not determine keeps its nominal value. The

@@ -4,8 +4,7 @@ import math
 import numpy as np
 
 from jaxcslc.manipulator import LinkParameters, puma560 as puma560_robot
-
-from ._machine import Machine
+from sim.machine._machine import Machine
 
 
 _RANGE_DEGREES = (

@@ -8,11 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxcslc.manipulator import LinkParameters
-
-from ._bodies import MachineError
-from ._machine import Machine
-from ._nearest_links import nearest_links
-from ._puma560 import puma560
+from sim.machine._bodies import MachineError
+from sim.machine._machine import Machine
+from sim.machine._nearest_links import nearest_links
+from sim.machine._puma560 import puma560
 
 
 _STATIC_TO_DRY = 1.25  # a choice, as in `puma560`: the thesis gives no static friction

@@ -4,11 +4,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from jaxcslc.motion import Recording
-
-from ..engine import SimulationError, Truth, perform, thread_count
-from ..machine import Machine
-from ..trajectory import Trajectory
+from jaxcslc.recordings import Recording
+from sim.engine._simulate import SimulationError, perform, thread_count
+from sim.engine._truth import Truth
+from sim.machine._machine import Machine
+from sim.trajectory._trajectories import Trajectory
 
 
 class ClosedLoop(NamedTuple):

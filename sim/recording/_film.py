@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from jaxcslc._environment import require
-
-from ..engine import Truth
-from ..machine import Load, Machine, MachineError
-from ._scene import Scene, holding
+from sim.engine._truth import Truth
+from sim.machine._bodies import MachineError
+from sim.machine._loads import Load
+from sim.machine._machine import Machine
+from sim.recording._scene import Scene, holding
 
 
 _LINE = 22  # height of a line of text [pixels]

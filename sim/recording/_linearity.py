@@ -8,10 +8,12 @@ from jaxtyping import Float
 
 from jaxcslc.control import PID
 from jaxcslc.manipulator import LinkParameters, puma560 as puma560_robot
-
-from ..engine import simulate
-from ..machine import Machine, MachineError
-from ..trajectory import FLANGE, AbbreviatedGravity, Oscillation, Trajectory
+from sim.engine._simulate import simulate
+from sim.machine._bodies import MachineError
+from sim.machine._machine import Machine
+from sim.trajectory._abbreviated_gravity import AbbreviatedGravity
+from sim.trajectory._paths import Oscillation
+from sim.trajectory._trajectories import FLANGE, Trajectory
 
 
 # Friction torque of a brake [N m]: more than any weight on the arm exerts.

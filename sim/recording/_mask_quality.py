@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxcslc.identification.report import text_table
+from jaxcslc._text_table import text_table
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,12 +6,14 @@ from tqdm import tqdm
 
 from jaxcslc._environment import require
 from jaxcslc._scratch import remove_left_behind
-
-from ..engine import SimulatedRecording, SimulationError, perform, structure, thread_count
-from ..machine import Machine, MachineError
-from ..trajectory import Trajectory
-from ._fingerprint import fingerprint
-from ._store import load, save
+from sim.engine._plan import structure
+from sim.engine._simulate import SimulationError, perform, thread_count
+from sim.engine._truth import SimulatedRecording
+from sim.machine._bodies import MachineError
+from sim.machine._machine import Machine
+from sim.recording._fingerprint import fingerprint
+from sim.recording._store import load, save
+from sim.trajectory._trajectories import Trajectory
 
 
 Backend = Literal["mujoco", "mjx"]
@@ -160,7 +162,7 @@ def _runner(
 ) -> Callable[[list[Job], Callable[[int], object]], Sequence[SimulatedRecording | SimulationError]]:
     if backend == "mjx":
         require("mujoco.mjx", "mjx")
-        from ..engine._mjx import perform_mjx
+        from sim.engine._mjx import perform_mjx
 
         return lambda jobs, advanced: perform_mjx(
             [job.machine for job in jobs],

@@ -6,9 +6,10 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..engine import mjcf
-from ..machine import Load, Machine, during
-from ..trajectory import Hand
+from sim.engine._mjcf import mjcf
+from sim.machine._loads import Load, during
+from sim.machine._machine import Machine
+from sim.trajectory._kinematics import Hand
 
 
 # Okabe and Ito's palette, which colour-blind viewers distinguish: links in turn, loads.

@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxcslc._scratch import unfinished
-from jaxcslc.motion import Recording
-
-from ..engine import SimulatedRecording, Truth
+from jaxcslc.recordings import Recording
+from sim.engine._truth import SimulatedRecording, Truth
 
 
 def save(folder: Path, name: str, result: SimulatedRecording) -> None:

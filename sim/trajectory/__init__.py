@@ -1,7 +1,7 @@
-from ._abbreviated_gravity import AbbreviatedGravity as AbbreviatedGravity
-from ._kinematics import Hand as Hand
-from ._motions import circle as circle, go_to as go_to
-from ._paths import (
+from sim.trajectory._abbreviated_gravity import AbbreviatedGravity as AbbreviatedGravity
+from sim.trajectory._kinematics import Hand as Hand
+from sim.trajectory._motions import circle as circle, go_to as go_to
+from sim.trajectory._paths import (
     AbstractPath as AbstractPath,
     MinimumJerk as MinimumJerk,
     Oscillation as Oscillation,
@@ -9,8 +9,8 @@ from ._paths import (
     ViaPoints as ViaPoints,
     minimum_jerk as minimum_jerk,
 )
-from ._repulsion import HandRepulsion as HandRepulsion, Repulsion as Repulsion
-from ._trajectories import (
+from sim.trajectory._repulsion import HandRepulsion as HandRepulsion, Repulsion as Repulsion
+from sim.trajectory._trajectories import (
     FLANGE as FLANGE,
     Trajectory as Trajectory,
     adjusted_training as adjusted_training,

@@ -6,8 +6,7 @@ from typing import ClassVar
 
 from jaxcslc.control import AbstractPositionTorque
 from jaxcslc.manipulator import Manipulator, RobotError
-
-from ._arrays import Array, namespace
+from sim.trajectory._arrays import Array, namespace
 
 
 _PUMA_TWISTS = (0, -90, 0, 90, -90, 90)  # degrees

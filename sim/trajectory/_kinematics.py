@@ -6,9 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxcslc.manipulator import Manipulator
-
-from ..machine import MachineError
-from ._arrays import Array, namespace, spread
+from sim.machine._bodies import MachineError
+from sim.trajectory._arrays import Array, namespace, spread
 
 
 # Of the inverse kinematics.

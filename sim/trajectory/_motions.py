@@ -3,9 +3,10 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ..machine import Machine, MachineError
-from ._kinematics import Hand, reach
-from ._paths import MinimumJerk, SampledPath, minimum_jerk
+from sim.machine._bodies import MachineError
+from sim.machine._machine import Machine
+from sim.trajectory._kinematics import Hand, reach
+from sim.trajectory._paths import MinimumJerk, SampledPath, minimum_jerk
 
 
 # A joint faster than this is near a singular pose [rad/s or m/s].

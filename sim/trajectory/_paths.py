@@ -5,9 +5,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxcslc.control import Reference
-
-from ..machine import MachineError
-from ._arrays import Array, namespace, spread
+from sim.machine._bodies import MachineError
+from sim.trajectory._arrays import Array, namespace, spread
 
 
 class AbstractPath(abc.ABC):

@@ -5,9 +5,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxcslc.control import AbstractPositionTorque
-
-from ._arrays import Array, namespace, spread
-from ._kinematics import Hand
+from sim.trajectory._arrays import Array, namespace, spread
+from sim.trajectory._kinematics import Hand
 
 
 # Widths beyond its bound over which a repulsion still grows: at most by a factor e.

@@ -5,12 +5,14 @@ from jaxtyping import Float
 
 from jaxcslc.control import PID, AbstractController, SinusoidalTorque
 from jaxcslc.manipulator import Manipulator, puma560 as puma560_robot
-
-from ..machine import Fault, Load, MachineError, puma560
-from ._abbreviated_gravity import AbbreviatedGravity
-from ._kinematics import Hand
-from ._paths import AbstractPath, MinimumJerk
-from ._repulsion import HandRepulsion, Repulsion
+from sim.machine._bodies import MachineError
+from sim.machine._faults import Fault
+from sim.machine._loads import Load
+from sim.machine._puma560 import puma560
+from sim.trajectory._abbreviated_gravity import AbbreviatedGravity
+from sim.trajectory._kinematics import Hand
+from sim.trajectory._paths import AbstractPath, MinimumJerk
+from sim.trajectory._repulsion import HandRepulsion, Repulsion
 
 
 # The PUMA 560 around the frames of Fig. 2.6-3, in metres; not in the thesis. Frame 0 is at the

@@ -1,2 +1,2 @@
-from ._echoes import Echoes as Echoes, ultrasound as ultrasound
-from ._sonar import Sonar as Sonar
+from sim.ultrasound._echoes import Echoes as Echoes, ultrasound as ultrasound
+from sim.ultrasound._sonar import Sonar as Sonar

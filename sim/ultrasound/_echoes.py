@@ -4,8 +4,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
-from ._objects import KINDS
-from ._sonar import Sonar, pulse, received, receiver_noise
+from sim.ultrasound._objects import KINDS
+from sim.ultrasound._sonar import Sonar, pulse, received, receiver_noise
 
 
 COEFFICIENTS = 11

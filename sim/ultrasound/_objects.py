@@ -12,8 +12,8 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Float
 
-from ._paths import curved, edge, mirrored, plane, scattered, vertical_corner
-from ._sonar import EchoPaths, Sonar
+from sim.ultrasound._paths import curved, edge, mirrored, plane, scattered, vertical_corner
+from sim.ultrasound._sonar import EchoPaths, Sonar
 
 
 # The detection field: where the nearest point of an object lies. A pulse's end leaves the emitter

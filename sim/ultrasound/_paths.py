@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.special import modfresnelm
 
-from ._sonar import EchoPaths, Sonar
+from sim.ultrasound._sonar import EchoPaths, Sonar
 
 
 # Steps of the search for a curved surface's point of reflection: of the objects used here, two

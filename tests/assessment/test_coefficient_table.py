@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.identification import coefficient_rows, coefficient_text
+from jaxcslc.report import coefficient_rows, coefficient_text
 
 
 def test_columns_of_appendix_b(puma: jc.CSLC, puma_k: jax.Array, rng: np.random.Generator) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.identification import predicted_torque, torque_errors
+from jaxcslc.report import predicted_torque, torque_errors
 
 
 def random_patterns(network: jc.CSLC, rng: np.random.Generator, samples: int = 50) -> jc.Patterns:

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.identification import degree_of_excitation
+from jaxcslc.report import degree_of_excitation
 
 
 @pytest.fixture

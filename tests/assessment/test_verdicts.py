@@ -9,12 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.identification import (
-    coefficient_rows,
-    coefficient_text,
-    degree_of_excitation,
-    verdicts,
-)
+from jaxcslc.report import coefficient_rows, coefficient_text, degree_of_excitation, verdicts
 
 
 @pytest.fixture(scope="module")

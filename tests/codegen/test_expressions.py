@@ -16,7 +16,7 @@ from jaxcslc.codegen import (
     Value,
     derivatives,
 )
-from jaxcslc.network.terms.rigid_body import nested
+from jaxcslc.network import nested
 
 
 def value(graph: Expressions, index: int, inputs: dict[str, float]) -> float:

@@ -11,8 +11,7 @@ from jaxtyping import Array
 import jaxcslc as jc
 import sim
 from jaxcslc.control import COMPENSATIONS, ComputedTorque, Reference, error_gains, smooth_friction
-
-from .conftest import SmallArm
+from tests.control.conftest import SmallArm
 
 
 FREQUENCY = np.array([12.0, 10.0, 14.0, 18.0, 20.0, 16.0])

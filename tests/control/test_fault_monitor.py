@@ -19,8 +19,7 @@ from jaxcslc.control import (
     OutputFeedback,
     Reference,
 )
-
-from .conftest import SmallArm
+from tests.control.conftest import SmallArm
 
 
 MACHINE = sim.disturbed(sim.puma560(), "quantisation", "static friction")

@@ -9,8 +9,7 @@ from jaxtyping import Array
 
 import jaxcslc as jc
 from jaxcslc.control import PID, ComputedTorque, JointLimitAvoidance, Reference
-
-from .conftest import SmallArm
+from tests.control.conftest import SmallArm
 
 
 RANGE = np.array([[-2.0, 2.0], [-2.2, 0.4], [-0.5, 2.5], [-1.5, 1.5], [-1.5, 1.5], [-3.0, 3.0]])

@@ -8,7 +8,7 @@ import pytest
 import sympy
 
 import jaxcslc
-from jaxcslc.derivation import Algebra, Table, constant_values, derive_algebra
+from jaxcslc.derivation import Algebra, ProductTable, constant_values, derive_algebra
 
 
 # B.1.3 and B.3.3, by hand. `rz6` is the thesis's 6_r_z, `Izz6` its p6_I_zz, `Im6` its m_I_6. The
@@ -85,7 +85,9 @@ def factors(label: str) -> dict[str, int]:
     return powers
 
 
-def links(algebra: Algebra, table: Table) -> dict[tuple[int, tuple[int, ...]], dict[str, Fraction]]:
+def links(
+    algebra: Algebra, table: ProductTable
+) -> dict[tuple[int, tuple[int, ...]], dict[str, Fraction]]:
     """{(input, element): weight}, everything counted from one."""
     return {
         (link.input + 1, tuple(index + 1 for index in table.columns[link.column])): {
@@ -102,7 +104,7 @@ def links(algebra: Algebra, table: Table) -> dict[tuple[int, tuple[int, ...]], d
 def test_counts(
     algebra: Algebra, name: str, inputs: int, links: int, nodes: int, coefficients: int
 ) -> None:
-    table: Table = getattr(algebra, name)
+    table: ProductTable = getattr(algebra, name)
     assert len(table.inputs) == len(table.labels) == inputs
     assert len(table.links) == links
     assert len(table.columns) == nodes
@@ -113,7 +115,7 @@ def test_counts(
 @pytest.mark.parametrize("name", ["mass", "velocity", "gravity"])
 def test_every_input(algebra: Algebra, appendix_b: dict[str, Any], name: str) -> None:
     printed: dict[str, dict[str, int]] = appendix_b[f"{name}_inputs"]
-    table: Table = getattr(algebra, name)
+    table: ProductTable = getattr(algebra, name)
     assert list(printed) == [str(i) for i in range(1, len(printed) + 1)]
     assert [factors(label) for label in table.labels] == list(printed.values())
 
@@ -121,7 +123,7 @@ def test_every_input(algebra: Algebra, appendix_b: dict[str, Any], name: str) ->
 @pytest.mark.parametrize("name", ["mass", "velocity"])
 def test_every_element(algebra: Algebra, appendix_b: dict[str, Any], name: str) -> None:
     printed: dict[str, list[int]] = appendix_b[f"{name}_columns"]
-    table: Table = getattr(algebra, name)
+    table: ProductTable = getattr(algebra, name)
     assert [[index + 1 for index in column] for column in table.columns] == list(printed.values())
 
 

@@ -7,9 +7,9 @@ import pytest
 from flint import fmpq
 
 import jaxcslc as jc
-from jaxcslc.derivation import Algebra, NewtonEuler, Table, derive_algebra, link_frames
+from jaxcslc.derivation import Algebra, NewtonEuler, ProductTable, derive_algebra, link_frames
+from jaxcslc.derivation._chain import compose
 from jaxcslc.derivation._exact import exact_cos_sin, exact_number
-from jaxcslc.derivation._vectors import compose
 
 
 _MIXED = jc.Manipulator.from_modified_dh(
@@ -88,7 +88,7 @@ class _State:
         ]
 
 
-def _sums(table: Table, variables: list[Any]) -> dict[tuple[int, ...], dict[int, Any]]:
+def _sums(table: ProductTable, variables: list[Any]) -> dict[tuple[int, ...], dict[int, Any]]:
     """For every element of a table, what multiplies each coefficient."""
     sums: dict[tuple[int, ...], dict[int, Any]] = {}
     for link in table.links:

@@ -10,6 +10,7 @@ import pytest
 import jaxcslc as jc
 from jaxcslc.excitation import (
     BSplines,
+    CollisionBodies,
     DenseCheck,
     Knowledge,
     Limits,
@@ -17,7 +18,6 @@ from jaxcslc.excitation import (
     Planner,
     Surroundings,
 )
-from jaxcslc.excitation.collision import Bodies
 
 
 RADIUS = 0.05
@@ -30,9 +30,9 @@ def arm() -> jc.Manipulator:
 
 
 @pytest.fixture(scope="module")
-def bodies(arm: jc.Manipulator) -> Bodies:
+def bodies(arm: jc.Manipulator) -> CollisionBodies:
     surroundings = Surroundings(radius=RADIUS, spheres=(((0.0, 0.65, 0.0), 0.1),), clearance=0.03)
-    return Bodies.of(arm, surroundings)
+    return CollisionBodies.of(arm, surroundings)
 
 
 def distance_of(angle: float) -> float:
@@ -42,12 +42,12 @@ def distance_of(angle: float) -> float:
 
 
 @pytest.mark.parametrize("angle", [0.9, 1.4, math.pi / 2])
-def test_distances_are_those_of_geometry(bodies: Bodies, angle: float) -> None:
+def test_distances_are_those_of_geometry(bodies: CollisionBodies, angle: float) -> None:
     distance, _, _ = bodies.distances(np.array([angle, 0.3]), 2.0)
     assert distance.min() == pytest.approx(distance_of(angle), abs=1e-6)
 
 
-def test_slopes_are_those_of_differences(bodies: Bodies) -> None:
+def test_slopes_are_those_of_differences(bodies: CollisionBodies) -> None:
     q = np.array([[1.3, 0.2]])
     contacts = bodies.contacts(q)
     step = 1e-5
@@ -55,7 +55,7 @@ def test_slopes_are_those_of_differences(bodies: Bodies) -> None:
     assert contacts.jacobian[0] == pytest.approx([numeric, 0.0], abs=1e-4)
 
 
-def test_the_least_distance_of_a_motion_is_bounded_closely(bodies: Bodies) -> None:
+def test_the_least_distance_of_a_motion_is_bounded_closely(bodies: CollisionBodies) -> None:
     family = BSplines(1.0, 4)
     parameters = np.zeros((family.size, 2))
     parameters[1:, 0] = np.linspace(0.3, 1.2, family.size - 1)  # ends at 1.2 rad
@@ -66,7 +66,7 @@ def test_the_least_distance_of_a_motion_is_bounded_closely(bodies: Bodies) -> No
     assert "obstacle sphere 1" in name
 
 
-def test_a_collision_between_samples_is_noticed(bodies: Bodies) -> None:
+def test_a_collision_between_samples_is_noticed(bodies: CollisionBodies) -> None:
     family = BSplines(1.0, 4)
     parameters = np.zeros((family.size, 2))
     parameters[1:, 0] = 1.6
@@ -91,7 +91,7 @@ def test_coal_and_mujoco_agree(tmp_path: Path, rng: np.random.Generator) -> None
     arm = jc.load_robot(tmp_path / "arm.xml")
     surroundings = Surroundings(floor=-0.1, spheres=(((0.4, 0.3, 0.2), 0.12),))
     mujoco, coal = (
-        Bodies.of(arm, dataclasses.replace(surroundings, distances=name))
+        CollisionBodies.of(arm, dataclasses.replace(surroundings, distances=name))
         for name in ("mujoco", "coal")
     )
     np.testing.assert_array_equal(mujoco.pairs, coal.pairs)
@@ -117,7 +117,7 @@ def test_a_motion_is_as_clear_by_coal(arm: jc.Manipulator) -> None:
         *(
             (bodies.clearance(family, parameters)[0], bodies.contacts(np.array([[1.3, 0.2]])))
             for bodies in (
-                Bodies.of(arm, dataclasses.replace(surroundings, distances=name))
+                CollisionBodies.of(arm, dataclasses.replace(surroundings, distances=name))
                 for name in ("mujoco", "coal")
             )
         ),
@@ -147,7 +147,7 @@ def test_a_design_keeps_its_distance(arm: jc.Manipulator) -> None:
     )
     design = planner.design(0, 1, 3, 10, lambda _: None)
     assert design.use.feasible
-    bodies = Bodies.of(arm, surroundings)
+    bodies = CollisionBodies.of(arm, surroundings)
     time = np.linspace(0.0, 2.0, 2001)
     q = design.family.derivative(design.parameters, time)
     assert min(bodies.distances(pose, 1.0)[0].min() for pose in q) >= 0.02
@@ -166,4 +166,4 @@ def test_robots_without_shapes_are_named(
     arm: jc.Manipulator, surroundings: Surroundings, message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):
-        Bodies.of(arm, surroundings)
+        CollisionBodies.of(arm, surroundings)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
+from jaxcslc.bodies import body_of, body_of_pseudo_inertia, link_of, pseudo_inertia
 from jaxcslc.excitation import (
     CRITERIA,
     BSplines,
@@ -28,7 +29,6 @@ from jaxcslc.excitation._criteria import body_variances, log_criterion
 from jaxcslc.excitation._information import Moments
 from jaxcslc.excitation._search import Multipliers, _no_contacts
 from jaxcslc.excitation._task import body_prior
-from jaxcslc.inertia import body_of, body_of_pseudo_inertia, link_of, pseudo_inertia
 
 
 def test_all_limits_hold_on_a_much_finer_grid(pendulum_design: Design) -> None:

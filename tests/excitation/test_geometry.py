@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.excitation import Surroundings, load_limits
-from jaxcslc.excitation.collision import Bodies
+from jaxcslc.excitation import CollisionBodies, Surroundings, load_limits
 
 
 # A cube of 0.2 m: two triangles a face.
@@ -48,7 +47,7 @@ def robot_with(folder: Path, mesh: str) -> jc.Manipulator:
 )
 def test_meshes_are_looked_for_as_ros_does(tmp_path: Path, mesh: str) -> None:
     surroundings = Surroundings(spheres=(((1.0, 0.0, 0.0), 0.15),), floor=-0.4)
-    bodies = Bodies.of(robot_with(tmp_path, mesh), surroundings)
+    bodies = CollisionBodies.of(robot_with(tmp_path, mesh), surroundings)
     distance, _, _ = bodies.distances(np.zeros(1), 2.0)
     # From the cube's face to the sphere, and from its lower face to the floor.
     np.testing.assert_allclose(np.sort(distance), [1.0 - 0.15 - 0.6, 0.4 - 0.1], atol=1e-6)
@@ -72,7 +71,7 @@ def test_meshes_are_looked_for_as_ros_does(tmp_path: Path, mesh: str) -> None:
 def test_meshes_that_cannot_be_read_are_named(tmp_path: Path, mesh: str, message: str) -> None:
     robot = robot_with(tmp_path, mesh)
     with pytest.raises(ValueError, match=message):
-        Bodies.of(robot, Surroundings(floor=-1.0))
+        CollisionBodies.of(robot, Surroundings(floor=-1.0))
 
 
 LIMITS = """[joints]

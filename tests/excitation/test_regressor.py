@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.excitation._regressor import mass_matrices_of, regressor_of, torques_of
+from jaxcslc.excitation._information import mass_matrices_of, regressor_of, torques_of
 
 
 ROUNDING = 1e-12  # of a few dozen operations on numbers about 1

@@ -12,8 +12,7 @@ from jaxtyping import Float
 
 import jaxcslc as jc
 from jaxcslc.export import read_motor_inertias
-
-from ..conftest import run
+from tests.conftest import run
 
 
 HAND = Path(__file__).parents[1] / "data" / "hand.urdf"

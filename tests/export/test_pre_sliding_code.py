@@ -16,7 +16,7 @@ from jaxtyping import Float
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.identification import PreSlidingFit, pre_sliding
+from jaxcslc.friction import PreSlidingFit, pre_sliding
 
 
 Compiled = Callable[[jc.CCode], Callable[..., Float[np.ndarray, "..."]]]

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 import jaxcslc as jc
 from jaxcslc.export import read_motor_inertias
-from jaxcslc.export._xml_edits import XmlEdits
+from jaxcslc.export._parameter_files import XmlEdits
 from jaxcslc.manipulator import parse_xml
 
 

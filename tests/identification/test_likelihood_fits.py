@@ -8,9 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
+from jaxcslc.identification import Likelihood, _maximum_likelihood
 from jaxcslc.identification._exclusions import Request
-from jaxcslc.identification.estimators import Likelihood, _maximum_likelihood
-from jaxcslc.identification.likelihood import MaximumLikelihood
+from jaxcslc.likelihood import MaximumLikelihood
 
 
 OPTIONS = MaximumLikelihood(torque_sampling="held", every=1)

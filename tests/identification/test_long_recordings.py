@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 import jaxcslc as jc
 from jaxcslc.cli._progress_lines import PASSED, progress_lines
-from jaxcslc.identification.selection import section_of
-from jaxcslc.identification.solver import KeptRows, _compiled, equations_of, rows_of, torque_of
+from jaxcslc.least_squares import KeptRows, _compiled, equations_of, rows_of, torque_of
+from jaxcslc.selection import section_of
 
 
 _FORGOTTEN = 1e-8  # what a filter remembers beyond the part of its neighbours that a stretch has

@@ -10,10 +10,16 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.control import PID, Reference
-from jaxcslc.identification import ESTIMATORS, AbstractEstimator, _problem
+from jaxcslc.identification import (
+    ESTIMATORS,
+    AbstractEstimator,
+    Fit,
+    Regression,
+    SimulatedMotion,
+    _problem,
+)
 from jaxcslc.identification._exclusions import EXCLUSIONS, FEATURES, Request, excluded
 from jaxcslc.identification._problem import Problem, prepare, with_friction
-from jaxcslc.identification.estimators import Fit, Regression, SimulatedMotion
 
 
 K = np.array([0.5, 0.3, -0.1, 0.2, 0.4])  # inertia, two of gravity, viscous and dry friction
@@ -89,7 +95,7 @@ def test_direct_dynamics_is_an_estimator() -> None:
     network = jc.derive(arm.with_friction("viscous"), lengths="numeric")
     t = np.arange(1000)[:, None] * 0.002
     desired = Reference(0.5 - 0.5 * np.cos(4 * t), 2 * np.sin(4 * t), 8 * np.cos(4 * t))
-    motion = jc.identification.ControlledMotion(
+    motion = jc.instruments.ControlledMotion(
         PID(1, position_gain=200.0, velocity_gain=20.0), desired
     )
     true = np.array([0.5, 0.2])

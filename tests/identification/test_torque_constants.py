@@ -8,9 +8,8 @@ import pytest
 
 import jaxcslc as jc
 from jaxcslc.identification import fit_torque_constants, identify_torque_constants
-from jaxcslc.identification.solver import LeastSquares
-
-from ..conftest import run
+from jaxcslc.least_squares import LeastSquares
+from tests.conftest import run
 
 
 CONSTANTS = np.array([8.0, -3.0])  # with a joint whose current counts the other way

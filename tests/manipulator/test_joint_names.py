@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.identification.report import DerivationReport
+from jaxcslc.report import DerivationReport
 
 
 TWO_JOINTS = """

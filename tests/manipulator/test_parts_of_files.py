@@ -10,9 +10,8 @@ import pytest
 
 import jaxcslc as jc
 from jaxcslc.manipulator import Manipulator
-
-from ..conftest import run
-from .test_hostile_files import ARM, BODY, joint, link, mjcf, notes, urdf
+from tests.conftest import run
+from tests.manipulator.test_hostile_files import ARM, BODY, joint, link, mjcf, notes, urdf
 
 
 MIMIC = '<mimic joint="left" multiplier="-1"/>'

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from jaxcslc import RobotError, load_robot
-
-from .conftest import ARM
+from tests.manipulator.conftest import ARM
 
 
 # Every message: what is replaced in ARM, by what, and what the one line says after the file.

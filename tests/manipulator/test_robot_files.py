@@ -16,8 +16,7 @@ import jaxcslc
 from jaxcslc import Manipulator, RobotError, load_robot
 from jaxcslc.derivation import derive_algebra
 from jaxcslc.manipulator import LinkInertia, LinkParameters
-
-from .conftest import ARM
+from tests.manipulator.conftest import ARM
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.identification.solver import regressor_of
+from jaxcslc.least_squares import regressor_of
 from jaxcslc.manipulator import fixed_together
 
 

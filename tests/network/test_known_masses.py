@@ -9,7 +9,7 @@ import pytest
 
 import jaxcslc as jc
 from jaxcslc import CSLC
-from jaxcslc.identification import Fixed, reidentify
+from jaxcslc.least_squares import Fixed, reidentify
 from jaxcslc.manipulator import LinkInertia, LinkParameters, Manipulator, RobotError
 
 

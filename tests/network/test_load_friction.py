@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 import sim
-from jaxcslc.adaptive import inverse_dynamics
+from jaxcslc.training import inverse_dynamics
 
 
 ROBOT = jc.puma560().with_friction("viscous", "dry", "load")

@@ -10,8 +10,7 @@ import pytest
 import jaxcslc
 from jaxcslc.codegen import array_outputs, named
 from jaxcslc.manipulator import LinkParameters, Manipulator
-from jaxcslc.network import RigidBodyRecursion
-from jaxcslc.network.terms.rigid_body import code
+from jaxcslc.network import RigidBodyRecursion, code
 
 
 # Of the largest torque among a robot's samples. Both sides round at 1e-15 per operation.

@@ -11,8 +11,7 @@ from numpy.testing import assert_array_equal
 import jaxcslc
 from jaxcslc.codegen import StraightLine, array_outputs, by_platform, named
 from jaxcslc.manipulator import Manipulator
-from jaxcslc.network import RigidBodyRecursion
-from jaxcslc.network.terms.rigid_body import code
+from jaxcslc.network import RigidBodyRecursion, code
 
 
 ROUNDING = 1e-12

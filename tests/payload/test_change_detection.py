@@ -8,19 +8,20 @@ from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
 from jaxcslc.payload._change_detection import (
+    PRIOR_DEVIATION,
+    RecursiveEquations,
     absence_evidence,
     likelihood_ratio,
     payload_evidence,
 )
-from jaxcslc.payload._recursive_least_squares import PRIOR_DEVIATION, NormalEquations
 
 
 SIZE = np.array([0.04] * 6 + [0.2] * 3 + [1.0])  # of a typical payload
 SAMPLES = 40
 
 
-def _equations(rows: np.ndarray, values: np.ndarray, weight: np.ndarray) -> NormalEquations:
-    return NormalEquations(
+def _equations(rows: np.ndarray, values: np.ndarray, weight: np.ndarray) -> RecursiveEquations:
+    return RecursiveEquations(
         jnp.asarray(rows.T @ (weight[:, None] * rows)),
         jnp.asarray(rows.T @ (weight * values)),
         jnp.zeros((10, 3)),
@@ -60,11 +61,11 @@ def test_predictions_add_up_to_the_marginal_density(rng: np.random.Generator) ->
     rows, weight = rows[:15].reshape(5, 3, 10), weight[:15].reshape(5, 3)
     weight[2, 1] = 0.0  # a joint at rest
     values = rows @ (SIZE * rng.normal(size=10)) + rng.normal(size=(5, 3))
-    equations, evidence = NormalEquations.empty(10, 3, jnp.zeros(()).dtype), 0.0
+    equations, evidence = RecursiveEquations.empty(10, 3, jnp.zeros(()).dtype), 0.0
     for row, value, w in zip(rows, values, weight, strict=True):
         sample = jnp.asarray(row), jnp.asarray(value), jnp.asarray(w)
         evidence += float(absence_evidence(equations, *sample))
-        more = NormalEquations.of_sample(sample[0], jnp.zeros((3, 3)), *sample[1:])
+        more = RecursiveEquations.of_sample(sample[0], jnp.zeros((3, 3)), *sample[1:])
         equations = equations.with_sample(more, 1.0)
     counted = weight > 0
     a, y, noise = rows[counted], values[counted], np.diag(1.0 / weight[counted])
@@ -87,7 +88,7 @@ def test_false_alarms_are_as_rare_as_stated(rng: np.random.Generator) -> None:
 
     def of_sequence(moments: jax.Array) -> jax.Array:
         def of_sample(information: jax.Array, moment: jax.Array) -> jax.Array:
-            return payload_evidence(NormalEquations(information, moment, jnp.zeros((10, 3))))
+            return payload_evidence(RecursiveEquations(information, moment, jnp.zeros((10, 3))))
 
         return jnp.max(jax.vmap(of_sample)(information, moments))
 
@@ -98,7 +99,7 @@ def test_false_alarms_are_as_rare_as_stated(rng: np.random.Generator) -> None:
 
 
 def test_no_equations_speak_for_nothing() -> None:
-    empty = NormalEquations.empty(10, 3, jnp.zeros(()).dtype)
+    empty = RecursiveEquations.empty(10, 3, jnp.zeros(()).dtype)
     assert float(payload_evidence(empty)) == 0.0
     assert float(likelihood_ratio(empty, jnp.ones(10))) == 0.0
 
@@ -106,7 +107,7 @@ def test_no_equations_speak_for_nothing() -> None:
 def test_equations_are_forgotten_and_replaced(rng: np.random.Generator) -> None:
     rows, arm = jnp.asarray(rng.normal(size=(2, 10))), jnp.asarray(rng.normal(size=(2, 3)))
     weight, residual = jnp.array([2.0, 3.0]), jnp.array([1.0, -1.0])
-    sample = NormalEquations.of_sample(rows, arm, residual, weight)
+    sample = RecursiveEquations.of_sample(rows, arm, residual, weight)
     assert_allclose(sample.moment, rows.T @ (weight * residual))
     assert_allclose(sample.cross, rows.T @ (weight[:, None] * arm))
     twice = sample.with_sample(sample, 0.5)

@@ -12,8 +12,8 @@ from jaxtyping import Array
 
 import jaxcslc as jc
 import sim
+from jaxcslc.bodies import nearest_body, pseudo_inertia
 from jaxcslc.control import ComputedTorque, LowPassChain, OutputFeedback
-from jaxcslc.inertia import nearest_body, pseudo_inertia
 from jaxcslc.payload import PayloadCompensation, PayloadEstimate, PayloadEstimator, torque_noise
 from scripts.studies.payload.loops import LoopBatch
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxcslc.inertia import nearest_body, pseudo_inertia
+from jaxcslc.bodies import nearest_body, pseudo_inertia
 from jaxcslc.payload import possible_body
 
 

@@ -9,7 +9,7 @@ import sympy as sp
 from sympy.physics.mechanics import dynamicsymbols
 
 import jaxcslc as jc
-from jaxcslc.motion import Patterns
+from jaxcslc.recordings import Patterns
 from jaxcslc.systems import (
     Constant,
     ConstantSearch,

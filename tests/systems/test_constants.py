@@ -8,8 +8,7 @@ import pytest
 
 import jaxcslc as jc
 from jaxcslc.systems import System, constants_from
-
-from .test_identify import load_from
+from tests.systems.test_identify import load_from
 
 
 POLE = """

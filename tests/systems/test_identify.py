@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.adaptive import linear_combiner
-from jaxcslc.motion import RecordingError
+from jaxcslc.recordings import RecordingError
 from jaxcslc.systems import (
     System,
     SystemRecording,
@@ -24,20 +23,13 @@ from jaxcslc.systems import (
     system_derivatives,
     system_patterns,
 )
-from jaxcslc.training import (
-    PERAL,
-    AbstractRule,
-    Backpropagation,
-    examples,
-    train,
-)
+from jaxcslc.training import PERAL, AbstractRule, Backpropagation, examples, linear_combiner, train
 from tests.conftest import run
-
-from .conftest import CART, SAMPLES, TRUE_CART, cart_motion
+from tests.systems.conftest import CART, SAMPLES, TRUE_CART, cart_motion
 
 
 if TYPE_CHECKING:
-    from jaxcslc.motion import Patterns
+    from jaxcslc.recordings import Patterns
 
 # What splines of a few samples take out of sines of 5 rad/s sampled every 10 ms.
 SMOOTHING = 2e-3

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.identification.solver import WeightedEquations
-from jaxcslc.motion import AbstractSmoothing
+from jaxcslc.least_squares import WeightedEquations
+from jaxcslc.recordings import AbstractSmoothing
 from jaxcslc.systems import (
     Constant,
     NoiseCorrection,
@@ -23,8 +23,7 @@ from jaxcslc.systems import (
     system_patterns,
 )
 from jaxcslc.systems._measurement_noise import level_error
-
-from .conftest import INTERVAL, SAMPLES, TRUE_CART, cart_motion
+from tests.systems.conftest import INTERVAL, SAMPLES, TRUE_CART, cart_motion
 
 
 jax.config.update("jax_enable_x64", True)

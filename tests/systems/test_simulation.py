@@ -10,7 +10,7 @@ import scipy
 import sympy as sp
 from sympy.physics.mechanics import dynamicsymbols
 
-from jaxcslc.motion import Patterns
+from jaxcslc.recordings import Patterns
 from jaxcslc.systems import Constant, DescriptionError, System, Variable, simulate_system
 
 

@@ -15,12 +15,17 @@ from sympy.physics.mechanics import (
     dynamicsymbols,
 )
 
-from jaxcslc.systems import Constant, DescriptionError, System, Variable, load_system
-from jaxcslc.systems.description import parse_equation
-from jaxcslc.systems.description._units import parse_unit, product_of_units, unit_text
+from jaxcslc.systems import (
+    Constant,
+    DescriptionError,
+    System,
+    Variable,
+    load_system,
+    parse_equation,
+)
+from jaxcslc.systems.description._entries import parse_unit, product_of_units, unit_text
 from tests.conftest import run
-
-from .conftest import CART
+from tests.systems.conftest import CART
 
 
 theta, torque = dynamicsymbols("theta torque")

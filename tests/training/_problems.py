@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxcslc.adaptive import (
+from jaxcslc.training import (
     HYPERBOLIC_TANGENT,
     LINEAR_COMBINER,
     LOGISTIC,
@@ -24,8 +24,7 @@ from jaxcslc.adaptive import (
 )
 from jaxcslc.training._examples import Examples
 from jaxcslc.training._rules import AbstractRule
-
-from . import _transcription as thesis
+from tests.training import _transcription as thesis
 
 
 FUNCTIONS: dict[Activation, thesis.Function] = {

@@ -5,13 +5,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from jaxcslc.adaptive import (
-    AdaptiveNetwork,
-    fully_connected,
-)
 from jaxcslc.training import (
+    AdaptiveNetwork,
     Examples,
     examples,
+    fully_connected,
 )
 
 

@@ -14,29 +14,27 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from jaxcslc.adaptive import (
-    LINEAR_COMBINER,
-    AdaptiveNetwork,
-    Layer,
-    Links,
-    Signals,
-    Subnetwork,
-    fully_connected,
-)
 from jaxcslc.training import (
+    LINEAR_COMBINER,
     PERAL,
     AdaptedRates,
+    AdaptiveNetwork,
     Backpropagation,
+    Layer,
+    Links,
     Plan,
     Schedule,
+    Signals,
+    Subnetwork,
     Training,
     _train as module,
     examples,
+    fully_connected,
     half_square,
     mean_modulus,
     train,
 )
-from jaxcslc.training._checkpoint import Checkpoint
+from jaxcslc.training._train import Checkpoint
 
 
 NETWORK = fully_connected([3, 1], "linear combiner")
@@ -287,9 +285,9 @@ import jax
 jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp, numpy as np
 from pathlib import Path
-from jaxcslc.adaptive import HYPERBOLIC_TANGENT, RadialBasis, decreasing, fully_connected
+from jaxcslc.training import HYPERBOLIC_TANGENT, RadialBasis, decreasing, fully_connected
 from jaxcslc.training import *
-from jaxcslc.training._checkpoint import Checkpoint
+from jaxcslc.training._train import Checkpoint
 
 def squares(x):
     return x**2

@@ -8,31 +8,29 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxcslc.adaptive import (
+from jaxcslc.training import (
     HARD_LIMITER,
     HYPERBOLIC_TANGENT,
     LINEAR_COMBINER,
     LOGISTIC,
+    PERAL,
+    AdaptedRates,
     AdaptiveNetwork,
+    Backpropagation,
     ContextLayer,
+    FixedRates,
+    IdealPERAL,
     Layer,
     Links,
+    PerceptronRule,
+    Plan,
     Preprocessed,
     Signals,
     Subnetwork,
-    fully_connected,
-    network_order,
-)
-from jaxcslc.training import (
-    PERAL,
-    AdaptedRates,
-    Backpropagation,
-    FixedRates,
-    IdealPERAL,
-    PerceptronRule,
-    Plan,
     examples,
+    fully_connected,
     half_square,
+    network_order,
     normal_equations,
     train,
 )

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from jaxcslc import CSLC
-from jaxcslc.adaptive import (
+from jaxcslc.training import (
     LINEAR_COMBINER,
     AdaptiveNetwork,
     ContextLayer,
@@ -17,10 +17,13 @@ from jaxcslc.adaptive import (
     Links,
     Signals,
     Subnetwork,
+    examples,
     fully_connected,
+    half_rms,
+    half_square,
     inverse_dynamics,
+    mean_modulus,
 )
-from jaxcslc.training import examples, half_rms, half_square, mean_modulus
 from jaxcslc.training._examples import covered, reach
 
 

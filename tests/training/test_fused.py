@@ -13,36 +13,36 @@ from jaxtyping import Array
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.adaptive import AdaptiveNetwork, fully_connected, inverse_dynamics
 from jaxcslc.codegen import LONG, CArray, CFunction, Expressions, assembly, traced
 from jaxcslc.training import (
     PERAL,
     AbstractRule,
     AdaptedRates,
+    AdaptiveNetwork,
     Backpropagation,
     Examples,
     FixedRates,
     IdealPERAL,
     Plan,
+    RuleStatements,
     _costs,
     _examples,
+    _kernel as _change,
+    _kernel_source,
+    _kernel_statements as _statements,
+    _stages,
+    batched_by,
     examples,
+    fully_connected,
     half_rms,
     half_square,
+    inverse_dynamics,
     mean_modulus,
-    train,
-)
-from jaxcslc.training.fused import (
-    RuleStatements,
-    _change,
-    _kernel_source,
-    _stages,
-    _statements,
-    batched_by,
     rule_statements,
     summed_change,
+    train,
 )
-from jaxcslc.training.fused._collected import Collected
+from jaxcslc.training._kernel_statements import Collected
 
 
 PATTERNS = 30

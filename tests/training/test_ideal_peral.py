@@ -6,28 +6,25 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from jaxcslc.adaptive import (
+from jaxcslc.training import (
     LINEAR_COMBINER,
+    OUTCOMES,
     AdaptiveNetwork,
     ContextLayer,
-    Layer,
-    Links,
-    Preprocessed,
-    Subnetwork,
-    fully_connected,
-)
-from jaxcslc.training import (
-    OUTCOMES,
     FixedRates,
     IdealPERAL,
+    Layer,
+    Links,
     Plan,
+    Preprocessed,
+    Subnetwork,
     check_sign_rank,
     examples,
+    fully_connected,
     mean_modulus,
     train,
 )
-
-from . import _transcription as thesis
+from tests.training import _transcription as thesis
 
 
 def contraction(x: np.ndarray, optimum: np.ndarray) -> np.ndarray:

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxcslc.adaptive import AdaptiveNetwork, fully_connected
 from jaxcslc.training import (
     PERAL,
     AbstractRule,
     AdaptedRates,
+    AdaptiveNetwork,
     Backpropagation,
     Examples,
     FixedRates,
@@ -22,6 +22,7 @@ from jaxcslc.training import (
     SwitchWhen,
     Training,
     examples,
+    fully_connected,
     half_square,
     train,
     with_normal_equations,

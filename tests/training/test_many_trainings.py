@@ -9,20 +9,22 @@ import pytest
 from jaxtyping import Array
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxcslc.adaptive import AdaptiveNetwork, Signals, fully_connected
 from jaxcslc.training import (
     OUTCOMES,
     PERAL,
     AbstractRule,
     AdaptedRates,
+    AdaptiveNetwork,
     Backpropagation,
     Examples,
     FixedRates,
     Plan,
     Schedule,
-    State,
+    Signals,
     Training,
+    TrainingState,
     examples,
+    fully_connected,
     half_square,
     mean_modulus,
     normal_equations,
@@ -210,7 +212,7 @@ def test_training_steps_under_vmap(problem: Problem) -> None:
 
     def several(start: Array, rate: Array, noise: Array) -> Any:
         plan = plan_of(rates=(rate, rate))
-        state = State.first(network, plan, start, jax.random.key(0))
+        state = TrainingState.first(network, plan, start, jax.random.key(0))
         return training_steps(network, plan, disturbed(noise), None, state, 20)
 
     states, records = jax.jit(jax.vmap(several))(starts, rates, noise)

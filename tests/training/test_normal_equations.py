@@ -10,26 +10,24 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc import CSLC
-from jaxcslc.adaptive import (
-    LINEAR_COMBINER,
-    AdaptiveNetwork,
-    Layer,
-    Links,
-    Signals,
-    Subnetwork,
-    fully_connected,
-    inverse_dynamics,
-)
 from jaxcslc.training import (
+    LINEAR_COMBINER,
     PERAL,
     AdaptedRates,
+    AdaptiveNetwork,
     Backpropagation,
     Examples,
+    Layer,
+    Links,
     Plan,
+    Signals,
+    Subnetwork,
     _normal_equations as module,
     examples,
+    fully_connected,
     half_rms,
     half_square,
+    inverse_dynamics,
     normal_equations,
     train,
 )

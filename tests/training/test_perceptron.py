@@ -6,29 +6,26 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from jaxcslc.adaptive import (
+from jaxcslc.training import (
     HARD_LIMITER,
+    OUTCOMES,
     AdaptiveNetwork,
     ContextLayer,
+    FixedRates,
     Layer,
     Links,
+    PerceptronRule,
+    Plan,
     PolynomialTerms,
     Preprocessed,
     Subnetwork,
     decreasing,
-    fully_connected,
-)
-from jaxcslc.training import (
-    OUTCOMES,
-    FixedRates,
-    PerceptronRule,
-    Plan,
     examples,
+    fully_connected,
     mean_modulus,
     train,
 )
-
-from . import _transcription as thesis
+from tests.training import _transcription as thesis
 
 
 XOR = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]])

@@ -9,24 +9,26 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxcslc.adaptive import (
+from jaxcslc.training import (
     HYPERBOLIC_TANGENT,
     LINEAR_COMBINER,
     LOGISTIC,
+    PERAL,
     Activation,
+    Backpropagation,
     ContextLayer,
     Layer,
     Links,
+    PerceptronRule,
     Subnetwork,
     decreasing,
+    examples,
     fully_connected,
 )
-from jaxcslc.training import PERAL, Backpropagation, PerceptronRule, examples
 from jaxcslc.training._examples import Examples
 from jaxcslc.training._rules import AbstractRule, links_per_weight
-
-from . import _transcription as thesis
-from ._problems import (
+from tests.training import _transcription as thesis
+from tests.training._problems import (
     FUNCTIONS,
     Problem,
     change,

@@ -8,15 +8,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from jaxcslc import CSLC
-from jaxcslc.adaptive import (
-    inverse_dynamics,
-)
-from jaxcslc.training import PERAL, Backpropagation, examples
+from jaxcslc.training import PERAL, Backpropagation, examples, inverse_dynamics
 from jaxcslc.training._rules import AbstractRule
 from scripts.studies.transcription import network as transcription, training
-
-from . import _transcription as thesis
-from ._problems import Problem, change
+from tests.training import _transcription as thesis
+from tests.training._problems import Problem, change
 
 
 def literal(part: transcription.Subnetwork) -> thesis.Subnetwork:

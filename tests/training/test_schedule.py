@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from jaxcslc.adaptive import AdaptiveNetwork, fully_connected
 from jaxcslc.training import (
     OUTCOMES,
     PERAL,
     AdaptedRates,
+    AdaptiveNetwork,
     Backpropagation,
     Examples,
     FixedRates,
@@ -21,6 +21,7 @@ from jaxcslc.training import (
     Schedule,
     Training,
     examples,
+    fully_connected,
     train,
 )
 from jaxcslc.training._plan import Turn

@@ -10,38 +10,35 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxcslc as jc
-from jaxcslc.adaptive import (
+from jaxcslc.training import (
     HYPERBOLIC_TANGENT,
     LINEAR_COMBINER,
-    AdaptiveNetwork,
-    Layer,
-    Links,
-    Signals,
-    Subnetwork,
-    fully_connected,
-    inverse_dynamics,
-    linear_combiner,
-    subnetwork_masks,
-)
-from jaxcslc.training import (
     PERAL,
     AbstractRule,
     AdaptedRates,
+    AdaptiveNetwork,
     Backpropagation,
     Examples,
     FixedRates,
     IdealPERAL,
+    Layer,
+    Links,
     PerceptronRule,
     Plan,
+    Signals,
+    Subnetwork,
     examples,
+    fully_connected,
     half_rms,
     half_square,
+    inverse_dynamics,
+    linear_combiner,
     normal_equations,
+    subnetwork_masks,
     train,
 )
-
-from . import _transcription as thesis
-from ._problems import (
+from tests.training import _transcription as thesis
+from tests.training._problems import (
     Problem,
     change,
     five_subnetworks,

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxcslc.adaptive import AdaptiveNetwork, fully_connected
 from jaxcslc.training import (
     OUTCOMES,
     PERAL,
     AdaptedRates,
+    AdaptiveNetwork,
     Backpropagation,
     Examples,
     FixedRates,
@@ -21,11 +21,12 @@ from jaxcslc.training import (
     SwitchWhen,
     Training,
     examples,
+    fully_connected,
     half_square,
     normal_equations,
     train,
 )
-from jaxcslc.training._switching import line_gain, promise
+from jaxcslc.training._plan import line_gain, promise
 
 
 RULES = (Backpropagation(), PERAL())

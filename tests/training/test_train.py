@@ -11,36 +11,33 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from jaxcslc import CSLC
-from jaxcslc.adaptive import (
-    LINEAR_COMBINER,
-    AdaptiveNetwork,
-    Layer,
-    Links,
-    Signals,
-    Subnetwork,
-    fully_connected,
-    inverse_dynamics,
-)
 from jaxcslc.training import (
+    LINEAR_COMBINER,
     OUTCOMES,
     PERAL,
     AbstractRates,
     AbstractRule,
     AdaptedRates,
+    AdaptiveNetwork,
     Backpropagation,
     Examples,
     FixedRates,
+    Layer,
+    Links,
     Plan,
     Schedule,
+    Signals,
+    Subnetwork,
     examples,
+    fully_connected,
     half_rms,
     half_square,
+    inverse_dynamics,
     mean_modulus,
     normal_equations,
     train,
 )
-
-from .conftest import Problem
+from tests.training.conftest import Problem
 
 
 def side_by_side(name: str, inputs: int, nodes: int, first: int) -> Subnetwork:

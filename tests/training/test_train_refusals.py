@@ -8,17 +8,8 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from jaxcslc.training import (
-    PERAL,
-    Backpropagation,
-    Examples,
-    FixedRates,
-    Plan,
-    Schedule,
-    train,
-)
-
-from .conftest import Problem
+from jaxcslc.training import PERAL, Backpropagation, Examples, FixedRates, Plan, Schedule, train
+from tests.training.conftest import Problem
 
 
 B = Backpropagation()

@@ -1,11 +1,14 @@
+"""Pairs of shapes whose distance counts, and their distances in poses and along motions."""
+
 import dataclasses
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from ..._environment import require
-from ...manipulator import Manipulator
+from jaxcslc._environment import require
+from jaxcslc.manipulator import Manipulator
+
 from .._families import AbstractFamily, Parameters, sample_times
 from .._limits import Surroundings
 from .._search import Contacts, padded_contacts
@@ -21,7 +24,7 @@ _POSES, _ALWAYS = 100, 0.9  # random poses; bodies that touch in most of them ar
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Bodies:
+class CollisionBodies:
     """The shapes of a robot and of what surrounds it, and their distances, by MuJoCo or Coal.
 
     Bodies that a joint connects may touch, and those that touch in nearly every pose: their shapes
@@ -47,7 +50,7 @@ class Bodies:
     coal: CoalShapes | None = None
 
     @classmethod
-    def of(cls, robot: Manipulator, surroundings: Surroundings) -> "Bodies":
+    def of(cls, robot: Manipulator, surroundings: Surroundings) -> "CollisionBodies":
         """The bodies of a robot's file, or capsules along its links.
 
         **Raises**
@@ -72,7 +75,10 @@ class Bodies:
     def distances(
         self, q: Float[np.ndarray, " joints"], farthest: float
     ) -> tuple[Float[np.ndarray, " pairs"], Float[np.ndarray, "pairs 6"], Any]:
-        """Of all pairs in a pose, at most `farthest` [m]; the nearest points; MuJoCo's data."""
+        """Compute the distances of all pairs in a pose, at most `farthest` [m].
+
+        Also returns the nearest points, and MuJoCo's data.
+        """
         mujoco: Any = require("mujoco", "urdf")
         data = _data_of(self.model)
         data.qpos[self.columns] = q
@@ -131,7 +137,7 @@ class Bodies:
         )
 
     def clearance(self, family: AbstractFamily, parameters: Parameters) -> tuple[float, str]:
-        """What is left of the clearance along a whole motion [m], and between which bodies.
+        """Compute what is left of the clearance along a whole motion [m], and between which bodies.
 
         Between two instants no distance of a pair is less than the mean of those at both, less half
         of what the joints between its bodies can move any of their points meanwhile. Where that is
@@ -173,7 +179,7 @@ class Bodies:
     def _beyond(
         self, positions: Float[np.ndarray, "poses joints"]
     ) -> Float[np.ndarray, "poses pairs"]:
-        """How far pairs are apart beyond what is wanted [m]; those far away are alike."""
+        """Compute the distances of pairs less what is wanted [m]; those far away are alike."""
         far = _FAR + float(self.wanted.max())
         distances = [self.distances(pose, far)[0] for pose in positions]
         return np.reshape(distances, (len(positions), len(self.pairs))) - self.wanted
@@ -236,7 +242,7 @@ def _candidate_pairs(model: Any, surroundings: Surroundings) -> np.ndarray:
 def _levers(
     model: Any, columns: np.ndarray, pairs: np.ndarray
 ) -> Float[np.ndarray, "pairs joints"]:
-    """How far a unit of a joint's motion moves two geometries against each other, at most."""
+    """Bound how far a unit of a joint's motion moves two geometries against each other."""
     of_geom = np.stack([_levers_of(model, columns, geom) for geom in range(model.ngeom)])
     first, second = of_geom[pairs[:, 0]], of_geom[pairs[:, 1]]
     # Joints that carry both move them alike.
@@ -244,7 +250,7 @@ def _levers(
 
 
 def _levers_of(model: Any, columns: np.ndarray, geom: int) -> Float[np.ndarray, " joints"]:
-    """How far a unit of each joint's motion moves points of a geometry, at most."""
+    """Bound how far a unit of each joint's motion moves points of a geometry."""
     levers = np.zeros(len(columns))
     body = int(model.geom_bodyid[geom])
     reach = float(np.linalg.norm(model.geom_pos[geom]) + model.geom_rbound[geom])

@@ -1,10 +1,12 @@
+"""Distances of the shapes of a MuJoCo model by Coal, Pinocchio's collision library."""
+
 import dataclasses
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from ..._environment import require
+from jaxcslc._environment import require
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -22,7 +24,7 @@ class CoalShapes:
 
     @classmethod
     def of(cls, model: Any) -> "CoalShapes":
-        """Of a compiled model.
+        """Make the shapes of a compiled model.
 
         **Raises**
 
@@ -35,7 +37,7 @@ class CoalShapes:
     def distance(
         self, data: Any, first: int, second: int, farthest: float, ends: Float[np.ndarray, "6"]
     ) -> float:
-        """Between two geometries, at most `farthest` [m], negative where they overlap.
+        """Compute the distance of two geometries, at most `farthest` [m], negative if they overlap.
 
         **Arguments**
 

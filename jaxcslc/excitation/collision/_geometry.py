@@ -1,3 +1,8 @@
+"""Collision shapes of a robot and obstacles, as a MuJoCo model.
+
+Shapes come from the robot's URDF or MJCF file, or are capsules along its links.
+"""
+
 import math
 import re
 from collections.abc import Sequence
@@ -6,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from ..._environment import require
-from ...manipulator import Manipulator
+from jaxcslc._environment import require
+from jaxcslc.manipulator import Manipulator
+
 from .._limits import Surroundings
 
 
@@ -170,7 +176,7 @@ def _add_obstacles(mujoco: Any, spec: Any, surroundings: Surroundings) -> None:
         spec.worldbody.add_geom(name=f"obstacle {name}", type=kind, size=size, pos=centre)
 
     def wall(name: str, axis: int, at: float, sign: int) -> None:
-        """Everything beyond a plane, as a thick box."""
+        """Add everything beyond a plane, as a thick box."""
         size, centre = [_WIDE] * 3, [0.0] * 3
         size[axis], centre[axis] = _THICK, at + sign * _THICK
         add(name, box, size, centre)

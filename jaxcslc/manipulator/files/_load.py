@@ -1,3 +1,9 @@
+"""Entry of the readers: `load_robot`, and the robot that a URDF or MJCF file describes.
+
+The chosen part of the file's tree becomes joints (`.._placement`). The bodies that are fixed to
+each link become the link's parameters. TOML files go to `_toml`.
+"""
+
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -7,16 +13,22 @@ import numpy as np
 from jaxtyping import Float
 
 from .._errors import RobotError
-from .._inertia import LinkInertia
-from .._link_parameters import LinkParameters, fixed_together, seen_from
+from .._link_parameters import LinkInertia, LinkParameters, fixed_together, seen_from
 from .._manipulator import Manipulator
 from .._placement import Axis, modified_dh
 from .._source import JointLimits, Mimics, Source
 from ._mujoco_reader import Body, BodyTree, read_bodies
 from ._part import MIMIC, Moved, Part, part_of
 from ._toml import read_toml
-from ._urdf_checks import XACRO, check_urdf, urdf_limits, urdf_mimic_laws, urdf_mimics
-from ._urdf_simplifications import Edit, simplifications
+from ._urdf import (
+    XACRO,
+    Edit,
+    check_urdf,
+    simplifications,
+    urdf_limits,
+    urdf_mimic_laws,
+    urdf_mimics,
+)
 from ._xml import read_xml
 
 
@@ -190,7 +202,7 @@ def _robot(
 
 
 def _poses(tree: BodyTree, start: int) -> list[Pose]:
-    """Of every body's frame in the base's, at zero."""
+    """Return the pose of every body's frame in the base's frame, at joint position zero."""
     world: list[Pose] = []
     for body in tree.bodies:
         world.append(world[body.parent] @ body.pose if body.parent >= 0 else body.pose)

@@ -1,3 +1,8 @@
+"""Bodies and joints of a URDF or MJCF file, as MuJoCo's own loader understands them.
+
+Everything but bodies and joints is removed before the file is compiled, so that no mesh is read.
+"""
+
 import math
 import warnings
 from collections.abc import Generator, Iterator, Mapping, Sequence
@@ -10,12 +15,13 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from jaxtyping import Float
 
-from ..._environment import require
+from jaxcslc._environment import require
+
 from .._errors import RobotError
 from .._joint import JointKind
 from .._link_parameters import LinkParameters
 from .._source import JointLimits, Mimic
-from ._urdf_simplifications import Edit, simplified
+from ._urdf import Edit, simplified
 
 
 _ROUNDING = 1e-9  # by which a file's numbers may miss being an inertia, relatively ...
@@ -64,7 +70,7 @@ class BodyTree(NamedTuple):
     mimics: tuple[Mimic, ...] = ()  # joints that follow others by a linear law
 
     def path(self, body: int) -> Iterator[int]:
-        """From a body to the world, both included."""
+        """Yield the indices of the bodies from a body to the world, both included."""
         while body >= 0:
             yield body
             body = self.bodies[body].parent
@@ -192,7 +198,7 @@ def _inertial(body: Any) -> Stated:
 def _fault(
     mass: float, centre: Float[np.ndarray, "3"], tensor: Float[np.ndarray, "3 3"]
 ) -> str | None:
-    """Why no body has such an inertia."""
+    """Return the reason why no body has such an inertia, or None if a body can have it."""
     if not np.isfinite([mass, *centre, *tensor.ravel()]).all():
         return "expected finite numbers in its inertial element"
     if mass < 0:
@@ -323,7 +329,7 @@ def _joints(model: Any, body: int, strongest: Mapping[str, float]) -> Iterator[F
 
 
 def _limits(model: Any, joint: int, strongest: float) -> JointLimits:
-    """Of a joint's range and of the torque of its actuators; MJCF has none of speed."""
+    """Return a joint's limits of range and actuator torque; MJCF has none of speed."""
     low, high = -math.inf, math.inf
     if model.jnt_limited[joint]:
         low, high = (float(x) for x in model.jnt_range[joint])
@@ -333,7 +339,7 @@ def _limits(model: Any, joint: int, strongest: float) -> JointLimits:
 
 
 def _actuator_torques(spec: Any) -> dict[str, float]:
-    """What the actuators of joints can do at most, by the joint's name; those that say so."""
+    """Return the largest torque of joint actuators that state one, by the joint's name."""
     mujoco: Any = require("mujoco", "urdf")
     torques: dict[str, float] = {}
     for actuator in spec.actuators:

@@ -1,3 +1,5 @@
+"""Choice of the part of a file's tree that the robot is: base, tips, fixed and following joints."""
+
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -157,7 +159,7 @@ def _fixed(tree: BodyTree, path: Path, fix: Sequence[str]) -> set[str]:
 
 
 def _without_followers_of_fixed(tree: BodyTree, path: Path, moved: list[Moved]) -> list[Moved]:
-    """Joints that mimic one that is not part of the robot do not move either."""
+    """Remove joints that mimic a joint outside the robot: they do not move either."""
     leaders = {follower: leader for _, (follower, leader) in _mimics(tree)}
     everywhere = {joint.name for body in tree.bodies for joint in body.joints}
     for follower, leader in leaders.items():

@@ -1,3 +1,5 @@
+"""Reader of robots in TOML, the package's own format (`docs/robots.md`), and the bundled robots."""
+
 import dataclasses
 import tomllib
 from collections.abc import Mapping
@@ -7,14 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from ..._toml_document import toml_document
+from jaxcslc._toml_document import toml_document
+
 from .._errors import RobotError
 from .._friction import STATIC_SLOPE, Coupling, couplings
-from .._inertia import LinkInertia
-from .._joint import Joint, finite_number, length_table, parse_angle, parse_length, unused_lengths
-from .._link_parameters import LinkParameters, motor_inertia
+from .._joint import (
+    Joint,
+    Numbering,
+    Subnumbering,
+    finite_number,
+    length_table,
+    parse_angle,
+    parse_length,
+    unused_lengths,
+)
+from .._link_parameters import LinkInertia, LinkParameters, motor_inertia
 from .._manipulator import Manipulator
-from .._numbering import Numbering, Subnumbering
 from .._source import Source
 
 
@@ -251,7 +261,7 @@ def _motor_inertia(link: Mapping[str, Any], at: str) -> float:
 
 
 def _agrees(link: LinkParameters, inertia: LinkInertia, at: str) -> None:
-    """Checks that a link's values have the zeros and equal moments that it lists.
+    """Check that a link's values have the zeros and equal moments that it lists.
 
     **Raises**
 

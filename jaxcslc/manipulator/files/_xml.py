@@ -1,3 +1,5 @@
+"""XML reader for files that nobody vouches for: no document types, no entities, bounded size."""
+
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -55,7 +57,7 @@ def read_xml(path: Path) -> Element:
 
 
 def parse_xml(text: bytes, where: str) -> Element:
-    """As `read_xml`, from bytes; `where` names them in errors."""
+    """Parse the bytes of an XML file as `read_xml` does; `where` names them in errors."""
     parser = expat.ParserCreate()
     top = Element("", {}, 0, 0)
     stack, copies, count, bodies = [top], [1], 0, 0
@@ -114,7 +116,7 @@ def parse_xml(text: bytes, where: str) -> Element:
 
 
 def _copies(tag: str, attributes: Mapping[str, str]) -> int:
-    """How many of its children an element makes."""
+    """Return the number of copies that an element makes of each of its children."""
     count = attributes.get("count", "") if tag == "replicate" else ""
     return max(1, int(count)) if count.isdecimal() and len(count) < 10 else 1
 

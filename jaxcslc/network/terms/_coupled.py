@@ -1,3 +1,5 @@
+"""Terms of two joints that share a motor's shaft: inertia, viscous and Coulomb friction."""
+
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
@@ -7,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..._environment import array_namespace
-from ...derivation import Coefficient
-from ...manipulator import Coupling, Manipulator, RobotError
+from jaxcslc._environment import array_namespace
+from jaxcslc.derivation import Coefficient
+from jaxcslc.manipulator import Coupling, Manipulator, RobotError
+
 from ._input_term import (
     HOST_FUNCTIONS,
     JAX_FUNCTIONS,
@@ -30,7 +33,7 @@ _KINDS = {
 
 
 class CoupledTerm(AbstractInputTerm):
-    """What two joints share of a motor's shaft: inertia, viscous or dry friction.
+    """Torque that two joints share of a motor's shaft: inertia, viscous or Coulomb friction.
 
     The shaft of a pair turns by `q[first] + ratio * q[second]`.
 
@@ -47,7 +50,7 @@ class CoupledTerm(AbstractInputTerm):
 
     @classmethod
     def all_of(cls, robot: Manipulator) -> list["CoupledTerm"]:
-        """One term of each kind; none without coupled joints.
+        """Return one term of each kind, or none without coupled joints.
 
         **Raises** `RobotError` for a joint that follows another.
         """
@@ -115,7 +118,7 @@ class CoupledTerm(AbstractInputTerm):
     def inputs(
         self, functions: AbstractFunctions, q: Sequence[Any], qd: Sequence[Any], qdd: Sequence[Any]
     ) -> list[Any]:
-        """Of either joint of each pair, what the shaft's share adds to its own terms.
+        """Return the shaft's additional inputs of both joints of each pair.
 
         The shaft's inertia and viscous friction enter joint i's torque by its own motion too; that
         part cannot be told from the joint's own motor and friction, and is left to them.

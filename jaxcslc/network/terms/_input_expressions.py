@@ -1,7 +1,10 @@
+"""Inputs of terms as expressions of generated code, instead of arrays."""
+
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from ...codegen import Expressions, Motion, Value
+from jaxcslc.codegen import Expressions, Motion, Value
+
 from ._input_term import AbstractFunctions, AbstractInputTerm
 from ._joint_projection import ProjectedTerm
 

@@ -1,3 +1,9 @@
+"""Terms whose coefficients multiply closed-form inputs, and the functions for these inputs.
+
+One formula serves JAX's arrays (`JAX_FUNCTIONS`), NumPy's (`HOST_FUNCTIONS`) and the expressions
+of `_input_expressions`.
+"""
+
 import abc
 from collections.abc import Sequence
 from typing import Any
@@ -57,11 +63,11 @@ class AbstractFunctions(abc.ABC):
     def rigid_torque(
         self, rigid: Any, k: Any, q: Sequence[Any], qd: Sequence[Any], qdd: Sequence[Any]
     ) -> list[Any]:
-        """Of every joint, that of links and motors: `rigid`, with coefficients `k`."""
+        """Compute every joint's torque of links and motors: `rigid`, with coefficients `k`."""
 
 
 class _ArrayFunctions(AbstractFunctions):
-    """On arrays of any shape, by NumPy or by JAX's NumPy."""
+    """Functions of arrays of any shape, by NumPy or by JAX's NumPy."""
 
     def __init__(self, namespace: Any) -> None:
         self._xp = namespace
@@ -132,7 +138,7 @@ class AbstractInputTerm(AbstractManipulatorTerm):
     @property
     @abc.abstractmethod
     def input_indices(self) -> tuple[int, ...]:
-        """Which of the term's coefficients each input is multiplied by."""
+        """Index of the term's coefficient that multiplies each input."""
 
     @property
     @abc.abstractmethod
@@ -147,18 +153,18 @@ class AbstractInputTerm(AbstractManipulatorTerm):
     @property
     @abc.abstractmethod
     def value_index(self) -> tuple[tuple[int, ...], ...]:
-        """Where in that argument the coefficients are, in their order: an index of an array."""
+        """Position of each coefficient in that argument, as an index of an array."""
 
     @property
     @abc.abstractmethod
     def value_meaning(self) -> str:
-        """What that argument's entries are, for messages."""
+        """Meaning of that argument's entries, for messages."""
 
     @abc.abstractmethod
     def inputs(
         self, functions: AbstractFunctions, q: Sequence[Any], qd: Sequence[Any], qdd: Sequence[Any]
     ) -> list[Any]:
-        """One value for each of `input_joints`, from motion with an entry a joint.
+        """Compute one value per entry of `input_joints`, from motion with one entry per joint.
 
         Entries are whatever `functions` works on.
         """
@@ -166,7 +172,7 @@ class AbstractInputTerm(AbstractManipulatorTerm):
     @property
     @abc.abstractmethod
     def inertia_matrices(self) -> Float[np.ndarray, "coefficients joints joints"]:
-        """What each coefficient is multiplied by in the mass matrix."""
+        """Factor of each coefficient in the mass matrix."""
 
     @property
     def has_host_columns(self) -> bool:
@@ -193,5 +199,5 @@ class AbstractInputTerm(AbstractManipulatorTerm):
 
 
 def by_joint(x: Float[Array, "*batch joints"]) -> list[Float[Array, "*batch"]]:
-    """One array a joint."""
+    """Split an array into one array per joint."""
     return [x[..., joint] for joint in range(x.shape[-1])]

@@ -1,3 +1,9 @@
+"""Projection of terms onto independent joints, for robots with joints that follow others.
+
+Positions of all joints are q = S u + s; by virtual work, torques are S' times those of all
+joints.
+"""
+
 from typing import Any
 
 import equinox as eqx
@@ -5,26 +11,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..._environment import array_namespace
-from ...derivation import Coefficient
-from ...manipulator import Manipulator
-from ._term import (
-    AbstractManipulatorTerm,
-    Coefficients,
-    Columns,
-    Joints,
-    Matrices,
-    Regressor,
-    Rows,
-)
-from .rigid_body import AbstractRigidBody
+from jaxcslc._environment import array_namespace
+from jaxcslc.derivation import Coefficient
+from jaxcslc.manipulator import Manipulator
+
+from ._expressed_bodies import AbstractRigidBody
+from ._term import AbstractManipulatorTerm, Coefficients, Columns, Joints, Matrices, Regressor, Rows
 
 
 AllJoints = Float[Array, "*batch all_joints"]
 
 
 class JointProjection(eqx.Module):
-    """How a robot's joints move with the independent ones: q = S u + s.
+    """Motion of a robot's joints by that of its independent joints: q = S u + s.
 
     u are positions of the joints that follow none. Virtual work gives their torques from those of
     all joints: S' tau.
@@ -44,7 +43,7 @@ class JointProjection(eqx.Module):
 
     @classmethod
     def of(cls, robot: Manipulator) -> "JointProjection | None":
-        """That of a robot some of whose joints follow others; None for all other robots."""
+        """Return a robot's projection, or None if none of its joints follows another."""
         mimics = () if robot.source is None else robot.source.mimics
         if not mimics:
             return None
@@ -59,25 +58,25 @@ class JointProjection(eqx.Module):
 
     @property
     def joint_count(self) -> int:
-        """Of independent joints, m."""
+        """Number of independent joints, m."""
         return len(self.matrix[0])
 
     @property
     def shares(self) -> tuple[tuple[tuple[int, float], ...], ...]:
-        """Of each independent joint, the joints that move with it and by how much."""
+        """Joints that move with each independent joint, and by how much."""
         return tuple(
             tuple((joint, row[column]) for joint, row in enumerate(self.matrix) if row[column])
             for column in range(self.joint_count)
         )
 
     def positions(self, q: Any) -> Any:
-        """Of all joints, (..., n), from those of the independent ones, (..., m)."""
+        """Compute positions of all joints, (..., n), from independent ones, (..., m)."""
         # Shaped for JAX's strict rule of broadcasting.
         offset = np.array(self.offset, q.dtype).reshape((1,) * (q.ndim - 1) + (-1,))
         return q @ np.array(self.matrix, q.dtype).T + offset
 
     def velocities(self, qd: Any) -> Any:
-        """Of all joints, (..., n), from (..., m); and so accelerations."""
+        """Compute velocities of all joints, (..., n), from (..., m); also accelerations."""
         return qd @ np.array(self.matrix, qd.dtype).T
 
 

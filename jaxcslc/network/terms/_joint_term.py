@@ -1,3 +1,8 @@
+"""Terms that apply one law to joints, with coefficients of each joint's own.
+
+The laws themselves are in `_friction_laws`.
+"""
+
 import abc
 from collections.abc import Sequence
 from functools import lru_cache
@@ -10,15 +15,16 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ..._environment import array_namespace
-from ...derivation import Coefficient
-from ...manipulator import Manipulator
+from jaxcslc._environment import array_namespace
+from jaxcslc.derivation import Coefficient
+from jaxcslc.manipulator import Manipulator
+
 from ._input_term import HOST_FUNCTIONS, JAX_FUNCTIONS, AbstractFunctions, AbstractInputTerm
 from ._term import Coefficients, Columns, Joints, Regressor, Rows
 
 
 class LawProperties(NamedTuple):
-    """What a law's coefficients are called, and what they are.
+    """Names, meaning and units of a law's coefficients.
 
     **Attributes**
 
@@ -55,7 +61,7 @@ class AbstractJointLaw(eqx.Module):
 
     @abc.abstractmethod
     def inputs(self, functions: AbstractFunctions, q: Any, qd: Any) -> tuple[Any, ...]:
-        """What each of a joint's coefficients is multiplied by, one value a symbol.
+        """Return the factors of a joint's coefficients, one value per symbol.
 
         Written as for one joint: array fields of `self` are that joint's entries here.
 

@@ -1,3 +1,9 @@
+"""Coulomb friction that grows with the rigid torque, alike or different for driving and braking.
+
+`LoadFriction` is linear in its coefficients for a given rigid torque. `LoadedRigidBody` is the
+linearised sum of links and such friction, as a Gauss-Newton step needs it.
+"""
+
 import dataclasses
 from collections.abc import Sequence
 from typing import Any
@@ -9,21 +15,14 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from ..._environment import array_namespace
-from ...derivation import Coefficient
-from ...manipulator import Manipulator
+from jaxcslc._environment import array_namespace
+from jaxcslc.derivation import Coefficient
+from jaxcslc.manipulator import Manipulator
+
+from ._expressed_bodies import AbstractRigidBody
 from ._input_term import HOST_FUNCTIONS, JAX_FUNCTIONS, AbstractFunctions, AbstractInputTerm
 from ._joint_projection import ProjectedTerm
-from ._term import (
-    AbstractManipulatorTerm,
-    Coefficients,
-    Columns,
-    Joints,
-    Matrices,
-    Regressor,
-    Rows,
-)
-from .rigid_body import AbstractRigidBody
+from ._term import AbstractManipulatorTerm, Coefficients, Columns, Joints, Matrices, Regressor, Rows
 
 
 LOAD, DIRECTIONAL_LOAD = "load", "directional_load"
@@ -117,7 +116,7 @@ class LoadFriction(AbstractInputTerm):
         return (term,)
 
     def with_load(self, load: Any) -> "LoadFriction":
-        """With other coefficients of the rigid torque, (p,); None for none."""
+        """Return the term with other coefficients of the rigid torque, (p,); None for none."""
         return dataclasses.replace(self, load=load)
 
     @property
@@ -277,7 +276,10 @@ class LoadFriction(AbstractInputTerm):
 
 
 def _friction(functions: AbstractFunctions, side: int, torque: Any, qd: Any) -> Any:
-    """What a coefficient multiplies: sign(qd) |torque|, of one side only where power has it."""
+    """Return the factor of a coefficient: sign(qd) |torque|.
+
+    With directional load, it is that of one sign of power only.
+    """
     sign = functions.sign(qd)
     if side == 0:
         return sign * functions.absolute(torque)
@@ -319,7 +321,7 @@ class LoadedRigidBody(AbstractManipulatorTerm):
         load: Float[Array | np.ndarray, " inertial"],
         factors: Float[Array | np.ndarray, "2 joints"],
     ) -> "LoadedRigidBody":
-        """Under the names of the term."""
+        """Make the term of links, motors and load-dependent friction, named as `rigid` is."""
         return cls(
             rigid=rigid,
             load=load,

@@ -1,9 +1,13 @@
+"""Payload: a body of ten unknown inertial parameters, fixed to a link (thesis 8.2.4)."""
+
 from fractions import Fraction
 from functools import lru_cache
 
-from ...derivation import BODY, Addend, Coefficient, inertial_terms
-from ...manipulator import LinkInertia, Manipulator, RobotError
-from .rigid_body import RigidBodyRecursion, paths_of
+from jaxcslc.derivation import BODY, Addend, Coefficient, inertial_terms
+from jaxcslc.manipulator import LinkInertia, Manipulator, RobotError
+
+from ._rigid_body_recursion import RigidBodyRecursion
+from ._rolled import paths_of
 
 
 PAYLOAD = tuple(f"p{entry}" for entry in BODY)

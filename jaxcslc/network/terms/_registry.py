@@ -1,7 +1,11 @@
+"""Terms of a robot's friction model, from the names of its laws."""
+
 from collections.abc import Callable
 
-from ...manipulator import Manipulator
+from jaxcslc.manipulator import Manipulator
+
 from ._coupled import CoupledTerm
+from ._expressed_bodies import AbstractRigidBody
 from ._friction_laws import (
     AsymmetricDry,
     AsymmetricViscous,
@@ -10,14 +14,13 @@ from ._friction_laws import (
     QuadraticFriction,
     Root,
     Spring,
+    StaticFriction,
     Viscous,
 )
 from ._input_term import AbstractInputTerm
 from ._joint_projection import ProjectedTerm
 from ._joint_term import AbstractJointLaw, JointTerm
 from ._load_friction import DIRECTIONAL_LOAD, LOAD, LoadFriction
-from ._static_friction import StaticFriction
-from .rigid_body import AbstractRigidBody
 
 
 # The law of each kind of `jaxcslc.manipulator.FRICTION_TERMS`, made for a robot.

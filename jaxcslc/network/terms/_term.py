@@ -1,3 +1,5 @@
+"""Base classes of terms: addends of a network's outputs, linear in coefficients of their own."""
+
 import abc
 from collections.abc import Sequence
 
@@ -5,7 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...derivation import Coefficient
+from jaxcslc.derivation import Coefficient
 
 
 Coefficients = Float[Array, " coefficients"]
@@ -17,7 +19,7 @@ Columns = tuple[Float[Array | np.ndarray, "_ samples"], ...]
 
 
 class AbstractTerm(eqx.Module):
-    """One addend of the outputs of a network, linear in coefficients of its own.
+    """Addend of the outputs of a network, linear in coefficients of its own.
 
     A network is a sum of terms (`CSLC.terms`); `network.layout` says where in `k` each one's
     coefficients are. Every method takes and returns the term's own coefficients only. Positions,
@@ -37,7 +39,7 @@ class AbstractTerm(eqx.Module):
     @property
     @abc.abstractmethod
     def parts(self) -> tuple[str, ...]:
-        """Which of the sums of the equation of motion (Eqn. 2.5-2) it belongs to.
+        """Sums of the equation of motion (Eqn. 2.5-2) that the term belongs to.
 
         Some of `"mass"`, `"velocity"`, `"gravity"`, `"friction"` and `"spring"`.
         """
@@ -55,16 +57,16 @@ class AbstractTerm(eqx.Module):
     @property
     @abc.abstractmethod
     def support(self) -> tuple[tuple[int, ...], ...]:
-        """For each joint, the coefficients that its torque can depend on, in ascending order."""
+        """Indices of the coefficients that each joint's torque can depend on, ascending."""
 
     @property
     def has_host_columns(self) -> bool:
-        """Whether `columns` computes NumPy's arrays by NumPy, so that nothing is compiled."""
+        """True if `columns` computes NumPy's arrays by NumPy, so that nothing is compiled."""
         return False
 
     @abc.abstractmethod
     def columns(self, q: Rows, qd: Rows, qdd: Rows) -> Columns:
-        """For each joint, the regressor's columns in its `support` as rows: (support, samples).
+        """Compute each joint's regressor columns in its `support`, as rows: (support, samples).
 
         Joints first, samples last, and nothing that is always zero: the shape that a
         factorisation of many patterns wants.
@@ -73,7 +75,7 @@ class AbstractTerm(eqx.Module):
     def write_columns(
         self, into: Sequence[Float[np.ndarray, "_ samples"]], q: Rows, qd: Rows, qdd: Rows
     ) -> None:
-        """Writes `columns` of NumPy's arrays into others of their shapes."""
+        """Write `columns` of NumPy's arrays into others of their shapes."""
         for rows, columns in zip(into, self.columns(q, qd, qdd), strict=True):
             rows[...] = columns
 

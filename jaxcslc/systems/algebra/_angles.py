@@ -1,3 +1,5 @@
+"""Independent angles of sines and cosines, with arguments as integer sums of them."""
+
 from collections.abc import Iterable
 from math import gcd, lcm
 from typing import Any
@@ -71,7 +73,7 @@ class Angles:
         return not self._basis or len(self._basis) in self._echelon(terms)[1]
 
     def _echelon(self, terms: Terms) -> tuple[Any, tuple[int, ...]]:
-        """Of the basis as columns, with an argument as the last one."""
+        """Return the reduced echelon form of basis columns, with an argument as the last column."""
         from sympy import Matrix, Rational
 
         if not self._basis:

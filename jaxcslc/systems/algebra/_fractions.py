@@ -1,3 +1,5 @@
+"""Rational functions of generators in normal form, modulo their relations."""
+
 import dataclasses
 from collections.abc import Sequence
 from typing import Any
@@ -54,7 +56,7 @@ class FractionField:
         return Fraction(*numerator.cancel(denominator))
 
     def normal_form(self, polynomial: Any) -> Any:
-        """The same function without the powers that relations replace."""
+        """Return an equal polynomial without the powers that relations replace."""
         changed = True
         while changed:
             changed = False
@@ -78,7 +80,7 @@ class FractionField:
         return ring.from_dict(kept) + ring.from_dict(lowered) * value
 
     def parts(self, polynomial: Any) -> dict[Monomial, dict[Monomial, Any]]:
-        """For each product of variables, what it is multiplied by: a polynomial of constants."""
+        """Return the factor of each product of variables: a polynomial of constants."""
         split = len(self.variables)
         parts: dict[Monomial, dict[Monomial, Any]] = {}
         for monomial, coefficient in polynomial.items():

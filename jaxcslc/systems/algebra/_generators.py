@@ -1,9 +1,12 @@
+"""Generators of expressions, and the relations that hold between them."""
+
 import dataclasses
 from collections.abc import Callable, Collection, Sequence
 from math import isfinite, lcm
 from typing import Any
 
-from ...derivation import exact_cos_sin
+from jaxcslc.derivation import exact_cos_sin
+
 from ..description import DescriptionError
 from ._angles import Angles, Terms
 
@@ -71,7 +74,7 @@ class Generators:
         return self._rewritten(expression)
 
     def is_constant(self, generator: Any) -> bool:
-        """Whether a generator depends on unknown constants."""
+        """Return whether a generator depends on unknown constants."""
         return bool(self.values[generator].free_symbols & self.unknown)
 
     def _collect(self, expression: Any) -> None:
@@ -233,7 +236,7 @@ class Generators:
         return self._of[key]
 
     def sign(self, x: Any) -> Any:
-        """Of what changes sign: its square is 1."""
+        """Return the sign of an expression that changes sign: its square is 1."""
         from sympy import Integer, Mul, expand, sign
 
         (inside,) = x.args

@@ -1,11 +1,13 @@
+"""Constants that follow from the coefficients, and independence of columns."""
+
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ..._rank import numerical_rank
-from ...derivation import Coefficient
+from jaxcslc._rank import numerical_rank
+from jaxcslc.derivation import Coefficient
 
 
 if TYPE_CHECKING:
@@ -21,7 +23,7 @@ COMPLEX_STEP = 1e-30
 
 @dataclasses.dataclass(frozen=True)
 class ConstantIdentifiability:
-    """Whether an unknown constant follows from the coefficients, which are all that is determined.
+    """Verdict whether an unknown constant follows from the coefficients, which fits determine.
 
     **Attributes**
 
@@ -54,7 +56,9 @@ def identifiability_of(
     formulas: Sequence[Any],
     coefficients: Sequence[Coefficient],
 ) -> tuple[ConstantIdentifiability, ...]:
-    """Of each unknown constant, by the derivatives of the coefficients at one random set of values.
+    """Determine the identifiability of each unknown constant.
+
+    It follows from the derivatives of the coefficients at one random set of values.
 
     A constant can be computed from the coefficients near almost every set of values if its unit
     vector is a combination of their gradients.
@@ -89,7 +93,7 @@ def identifiability_of(
 
 
 def independent(system: "System", regressor: Sequence[Sequence[Any]]) -> bool:
-    """Whether the columns of a regressor are independent at random states, numerically.
+    """Return whether the columns of a regressor are independent at random states, numerically.
 
     Columns are functions that exact algebra has made independent, as far as it knows the functions:
     this is where it is held to it. States where a function is not real are left out.

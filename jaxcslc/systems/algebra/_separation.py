@@ -1,3 +1,5 @@
+"""Separation of known variables from unknown constants: the third stage (C.1.4, C.2)."""
+
 import dataclasses
 from collections.abc import Mapping
 from functools import cached_property
@@ -7,8 +9,9 @@ import numpy as np
 from flint import fmpq, fmpq_mat
 from jaxtyping import Float, Inexact
 
-from ..._text_table import text_table
-from ...derivation import Basis, Coefficient
+from jaxcslc._text_table import text_table
+from jaxcslc.derivation import Basis, Coefficient
+
 from ..description import DescriptionError, product_of_units
 from ._fractions import FractionField, Monomial
 from ._generators import Generators
@@ -79,7 +82,7 @@ class Separation:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the coefficients."""
+        """Names of the coefficients."""
         return tuple(coefficient.name for coefficient in self.coefficients)
 
     def values(self, constants: Mapping[str, float]) -> Float[np.ndarray, " coefficients"]:
@@ -267,7 +270,7 @@ def _separated(system: "System", largest_multiple: int) -> Separation:
 
 
 def _readable(expression: Any) -> Any:
-    """With long fractions as decimals."""
+    """Replace long fractions by decimals."""
     from sympy import Float, Rational
 
     long = {x: Float(x, 6) for x in expression.atoms(Rational) if x.q > _LONGEST_DENOMINATOR}

@@ -1,9 +1,11 @@
+"""Reader of equations that are written as text."""
+
 import ast
 import math
 from collections.abc import Callable, Collection
 from typing import Any
 
-from ._errors import DescriptionError
+from ._entries import DescriptionError
 
 
 # Functions of one number that a formula may contain, by their names in SymPy.
@@ -55,7 +57,7 @@ def parse_equation(text: str, variables: Collection[str], constants: Collection[
 
 
 def parse_formula(text: str, variables: Collection[str], constants: Collection[str]) -> Any:
-    """One side of an equation; see `parse_equation`."""
+    """Parse one side of an equation; see `parse_equation`."""
     try:
         tree = ast.parse(text.replace("^", "**"), mode="eval")
     except (SyntaxError, ValueError, RecursionError) as error:
@@ -77,7 +79,7 @@ def _short(text: str) -> str:
 
 
 def _split(text: str) -> list[str]:
-    """At equals signs, those of comparisons left alone."""
+    """Split text at equals signs, those of comparisons left alone."""
     for comparison in ("<=", ">="):
         text = text.replace(comparison, comparison[0] + "\0")
     return [side.replace("\0", "=") for side in text.split("=")]
@@ -115,7 +117,7 @@ class _Reader:
                 raise self._wrong(ast.unparse(node))
 
     def _number(self, node: ast.AST) -> Any:
-        """What is read, unless it is a comparison."""
+        """Read a node that must not be a comparison."""
         value = self.read(node)
         if _is_comparison(value):
             raise DescriptionError(

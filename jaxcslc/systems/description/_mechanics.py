@@ -1,8 +1,9 @@
+"""Equations of motion by Lagrange, or of SymPy's mechanics."""
+
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ._entries import name_of
-from ._errors import DescriptionError
+from ._entries import DescriptionError, name_of
 
 
 def lagrange_equations(

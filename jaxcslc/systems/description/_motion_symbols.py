@@ -1,9 +1,10 @@
+"""Plain symbols of variables, their derivatives, and constants."""
+
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ._entries import Constant, Variable, name_of
-from ._errors import DescriptionError
+from ._entries import Constant, DescriptionError, Variable, name_of
 
 
 ORDERS = ("{}", "dot({})", "ddot({})")
@@ -12,7 +13,7 @@ ORDERS = ("{}", "dot({})", "ddot({})")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MotionSymbols:
-    """One plain symbol for each variable, each of its two derivatives, and each constant.
+    """Plain symbols: one for each variable, each of its two derivatives, and each constant.
 
     What a user wrote, with functions of time and derivatives of them, becomes algebra in these.
 
@@ -29,7 +30,7 @@ class MotionSymbols:
 
     @classmethod
     def of(cls, variables: tuple[Variable, ...], constants: Sequence[Constant]) -> "MotionSymbols":
-        """For a system."""
+        """Create the symbols of a system."""
         from sympy import Symbol
 
         motion = {
@@ -102,7 +103,7 @@ class MotionSymbols:
 
 
 def exact(expression: Any) -> Any:
-    """The same expression with its decimals as the fractions that they say."""
+    """Return the expression with its decimals as exact fractions."""
     from sympy import Float, Rational
 
     return expression.xreplace({x: Rational(repr(float(x))) for x in expression.atoms(Float)})

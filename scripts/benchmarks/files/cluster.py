@@ -20,7 +20,7 @@ import distributed
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.identification import fit_on_cluster
+from jaxcslc.least_squares import fit_on_cluster
 from scripts.benchmarks.files.parquet import write_long_recording
 from scripts.benchmarks.metrics import Metric, report
 

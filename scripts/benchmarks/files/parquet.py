@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.motion import RecordingChunk, iterate_recording, save_recording
+from jaxcslc.recordings import RecordingChunk, iterate_recording, save_recording
 from scripts.benchmarks.direct_solve import true_coefficients
 from scripts.benchmarks.metrics import Metric, report
 

@@ -3,7 +3,7 @@
 Two recordings of one arm by other motion and other noise are identified together, with default
 settings: of the same arm; after friction has changed in all joints; with a payload in the second
 one. The three arms are those of `scripts.studies.checks`. Printed: how often the test of
-`jaxcslc.identification.fit_recordings` found a disagreement, with standard errors alone and with
+`jaxcslc.uncertainty.fit_recordings` found a disagreement, with standard errors alone and with
 systematic errors, which is what a report says; and how often what it named first is of the kind
 that changed (friction, or what a payload moves).
 
@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.identification import SeveralFit, fit_recordings
-from jaxcslc.identification.report import all_or_nothing, write_csv
+from jaxcslc.report import all_or_nothing, write_csv
+from jaxcslc.uncertainty import SeveralFit, fit_recordings
 from scripts.studies import command
 from scripts.studies.checks.arms import ARMS, network
 from scripts.studies.checks.recordings import Conditions, record

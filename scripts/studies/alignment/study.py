@@ -28,8 +28,8 @@ from jaxtyping import Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification.report import all_or_nothing, write_csv
-from jaxcslc.motion import TorqueAlignment
+from jaxcslc.recordings import TorqueAlignment
+from jaxcslc.report import all_or_nothing, write_csv
 from jaxcslc.training import half_rms
 from scripts.studies import command
 from scripts.studies.puma560.machines import machines

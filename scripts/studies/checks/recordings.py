@@ -13,8 +13,7 @@ from jaxtyping import Float
 import jaxcslc as jc
 import sim
 from jaxcslc.manipulator import LinkParameters
-
-from .arms import URDFS, ArmJoint, urdf
+from scripts.studies.checks.arms import URDFS, ArmJoint, urdf
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 import jaxcslc as jc
-
-from .recordings import Conditions, record
+from scripts.studies.checks.recordings import Conditions, record
 
 
 @dataclasses.dataclass(frozen=True)

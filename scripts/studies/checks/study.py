@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.identification import estimate_torque_lag
-from jaxcslc.identification.report import all_or_nothing, write_csv
+from jaxcslc.checks import estimate_torque_lag
+from jaxcslc.report import all_or_nothing, write_csv
 from scripts.studies import command
 from scripts.studies.checks.arms import ARMS, network
 from scripts.studies.checks.recordings import Conditions, record

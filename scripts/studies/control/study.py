@@ -36,7 +36,7 @@ import numpy as np
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification.report import write_csv
+from jaxcslc.report import write_csv
 from scripts.studies import command
 from scripts.studies.control.checks import ideal_rows, stability_rows
 from scripts.studies.control.coefficients import SETS, machine_of, stored_coefficient_sets

@@ -4,7 +4,7 @@ PUMA A and PUMA B perform the training trajectory, with quantised encoders alone
 disturbance of Section 7.2, each several times with other encoder phases and starts. Each recording
 is identified with settings that cross-validation prefers for prediction (splines of 17 samples,
 parallel filter at 8 Hz). Printed: how many of the coefficients' intervals contained the true value,
-with standard errors alone and with systematic errors (`jaxcslc.identification.systematic_error`),
+with standard errors alone and with systematic errors (`jaxcslc.uncertainty.systematic_error`),
 what each cause alone would give, how much wider intervals become, and the verdicts on coefficients
 whose error is the most standard errors. Percentages are of the true value.
 
@@ -20,8 +20,8 @@ import numpy as np
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import coefficient_rows, systematic_error, uncertainty_interval
-from jaxcslc.identification.report import all_or_nothing, write_csv
+from jaxcslc.report import all_or_nothing, coefficient_rows, write_csv
+from jaxcslc.uncertainty import systematic_error, uncertainty_interval
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.tables import rows_table

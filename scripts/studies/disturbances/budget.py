@@ -39,8 +39,8 @@ import numpy as np
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification.report import all_or_nothing
-from jaxcslc.motion import choose_spacing
+from jaxcslc.recordings import choose_spacing
+from jaxcslc.report import all_or_nothing
 from scripts.studies import command
 from scripts.studies.disturbances.fits import Fits, identify, judge
 from scripts.studies.disturbances.measures import CASES, machine_of

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.motion import CentralDifferences
+from jaxcslc.recordings import CentralDifferences
 from scripts.studies.disturbances.measures import (
     ON,
     Measures,

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import t as student
 
-from jaxcslc.identification.report import text_table, write_csv
+from jaxcslc._text_table import text_table
 from jaxcslc.plotting import save_picture
+from jaxcslc.report import write_csv
 from scripts.studies.disturbances.measures import OFF, ON, Line, lines
 from scripts.studies.disturbances.pictures import budget_picture
 

@@ -8,7 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.identification import LikelihoodFit, SimulationFit, uncertainty_interval
+from jaxcslc.instruments import SimulationFit
+from jaxcslc.likelihood import LikelihoodFit
+from jaxcslc.uncertainty import uncertainty_interval
 from scripts.studies.estimators.recordings import Experiment
 
 

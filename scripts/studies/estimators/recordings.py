@@ -9,7 +9,7 @@ from jaxtyping import Float
 import jaxcslc as jc
 import sim
 from jaxcslc.control import Reference
-from jaxcslc.identification import ControlledMotion
+from jaxcslc.instruments import ControlledMotion
 
 
 INTERVAL = 0.002  # s, that of trajectories

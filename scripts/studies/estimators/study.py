@@ -26,7 +26,8 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification.report import text_table, write_csv
+from jaxcslc._text_table import text_table
+from jaxcslc.report import write_csv
 from scripts.studies import command
 from scripts.studies.estimators.methods import NAMES, estimates
 from scripts.studies.estimators.recordings import KINDS, experiment

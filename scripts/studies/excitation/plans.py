@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 import jaxcslc as jc
+from jaxcslc._text_table import text_table
 from jaxcslc.excitation import (
     Design,
     Knowledge,
@@ -25,10 +26,8 @@ from jaxcslc.excitation import (
     random_parameters,
     wanted_indices,
 )
-from jaxcslc.identification.report import text_table
 from scripts.studies import command
-
-from .motions import knowledge, limits, network, noise
+from scripts.studies.excitation.motions import knowledge, limits, network, noise
 
 
 jc.enable_x64()

@@ -35,12 +35,19 @@ import jax
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.identification.report import text_table
+from jaxcslc._text_table import text_table
 from scripts.studies import command
+from scripts.studies.excitation.motions import (
+    DESIGNED,
+    DESIGNS,
+    DIRECTIONAL,
+    MOTIONS,
+    Designs,
+    path_of,
+    predicted_errors,
+)
+from scripts.studies.excitation.pictures import figure
 from scripts.studies.rows import Rows, made_of
-
-from .motions import DESIGNED, DESIGNS, DIRECTIONAL, MOTIONS, Designs, path_of, predicted_errors
-from .pictures import figure
 
 
 jc.enable_x64()
@@ -90,7 +97,7 @@ def row_of(
     task: Task, parameters: dict[str, list[Any]], urdf: str, steps: int, quick: bool
 ) -> dict[str, Any]:
     """A task's row; `parameters`: of the designs, by name."""
-    from . import tasks  # in the process that needs them
+    from scripts.studies.excitation import tasks  # in the process that needs them
 
     load_designs(parameters)
     part, name, number = task

@@ -21,12 +21,8 @@ from jaxcslc.excitation import (
     Planner,
     Surroundings,
 )
-from jaxcslc.identification import choose_friction
-from jaxcslc.identification.selection import FRICTION_CANDIDATES
-from scripts.studies.static_friction.study import epsilon
-from scripts.studies.truth import moving_patterns, true_coefficients
-
-from .motions import (
+from jaxcslc.selection import FRICTION_CANDIDATES, choose_friction
+from scripts.studies.excitation.motions import (
     DIRECTIONAL,
     TORQUE_NOISE,
     Designs,
@@ -36,7 +32,9 @@ from .motions import (
     puma_design,
     thesis_coefficients,
 )
-from .plans import seconds_to_goal
+from scripts.studies.excitation.plans import seconds_to_goal
+from scripts.studies.static_friction.study import epsilon
+from scripts.studies.truth import moving_patterns, true_coefficients
 
 
 jc.enable_x64()

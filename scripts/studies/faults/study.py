@@ -29,8 +29,9 @@ from jaxtyping import Array, Float
 
 import jaxcslc as jc
 import sim
+from jaxcslc._text_table import text_table
 from jaxcslc.control import FAULTS, ComputedTorque, FaultMonitor, OutputFeedback
-from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
+from jaxcslc.report import all_or_nothing, write_csv
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.truth import true_coefficients

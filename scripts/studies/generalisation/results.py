@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxcslc.identification.report import text_table
+from jaxcslc._text_table import text_table
 from scripts.studies.generalisation.pictures import generalisation_picture
 
 

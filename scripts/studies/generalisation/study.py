@@ -41,8 +41,8 @@ import numpy as np
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification.report import all_or_nothing, write_csv
 from jaxcslc.plotting import save_picture
+from jaxcslc.report import all_or_nothing, write_csv
 from scripts.studies import command
 from scripts.studies.generalisation.patterns import data_of, in_range, stop_set
 from scripts.studies.generalisation.results import picture, summary, table

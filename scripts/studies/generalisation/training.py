@@ -109,8 +109,8 @@ def fitted(
             patterns, backlash_mask=patterns.backlash_mask & ~stopping[:, None]
         )
         k = settings.fit(network, used).k
-        on_training = jc.identification.torque_errors(network, patterns, k)
-        on_comparison = jc.identification.torque_errors(network, judged, k)
+        on_training = jc.report.torque_errors(network, patterns, k)
+        on_comparison = jc.report.torque_errors(network, judged, k)
         mask, mask_judged = np.asarray(patterns.mask), np.asarray(judged.mask)
         inside = in_range(judged, patterns, ~stopping)[:, None]
         cases = (

@@ -22,7 +22,8 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.identification.report import text_table, write_csv
+from jaxcslc._text_table import text_table
+from jaxcslc.report import write_csv
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 

@@ -24,7 +24,8 @@ from jaxtyping import Bool, Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification.report import text_table, write_csv
+from jaxcslc._text_table import text_table
+from jaxcslc.report import write_csv
 from jaxcslc.training import half_rms
 from scripts.studies import command
 from scripts.studies.puma560.machines import MOVING, machines

@@ -23,8 +23,10 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.identification import Identification, fit_pre_sliding
-from jaxcslc.identification.report import text_table, write_csv
+from jaxcslc._text_table import text_table
+from jaxcslc.friction import fit_pre_sliding
+from jaxcslc.least_squares import Identification
+from jaxcslc.report import write_csv
 from scripts.studies import command
 from scripts.studies.likelihood.dahl_pendulum import (
     INTERVAL,

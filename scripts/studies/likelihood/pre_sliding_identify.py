@@ -22,8 +22,10 @@ from typing import Any
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.identification import FrictionChoice, uncertainty_interval
-from jaxcslc.identification.report import text_table, write_csv
+from jaxcslc._text_table import text_table
+from jaxcslc.report import write_csv
+from jaxcslc.selection import FrictionChoice
+from jaxcslc.uncertainty import uncertainty_interval
 from scripts.studies import command
 from scripts.studies.likelihood.dahl_pendulum import (
     INERTIA,

@@ -23,8 +23,8 @@ import numpy as np
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import uncertainty_interval
-from jaxcslc.identification.report import write_csv
+from jaxcslc.report import write_csv
+from jaxcslc.uncertainty import uncertainty_interval
 from scripts.studies import command
 from scripts.studies.likelihood.study import WITHIN, static_text
 from scripts.studies.rows import Rows, made_of

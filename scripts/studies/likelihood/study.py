@@ -30,8 +30,9 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import uncertainty_interval
-from jaxcslc.identification.report import text_table, write_csv
+from jaxcslc._text_table import text_table
+from jaxcslc.report import write_csv
+from jaxcslc.uncertainty import uncertainty_interval
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.static_friction.study import epsilon

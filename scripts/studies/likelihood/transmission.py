@@ -36,14 +36,10 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import (
-    Known,
-    Prior,
-    SystematicError,
-    systematic_error,
-    uncertainty_interval,
-)
-from jaxcslc.identification.report import text_table, write_csv
+from jaxcslc._text_table import text_table
+from jaxcslc.bodies import Known, Prior
+from jaxcslc.report import write_csv
+from jaxcslc.uncertainty import SystematicError, systematic_error, uncertainty_interval
 from scripts.studies import command
 from scripts.studies.puma560.machines import MOVING, machines
 from scripts.studies.rows import Rows, made_of

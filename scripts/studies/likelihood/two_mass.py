@@ -26,7 +26,8 @@ from jaxtyping import Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification.report import text_table, write_csv
+from jaxcslc._text_table import text_table
+from jaxcslc.report import write_csv
 from scripts.studies import command
 from scripts.studies.likelihood.two_masses import network_of_two_masses, two_masses
 from scripts.studies.rows import Rows, made_of

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.inertia import pseudo_inertia
+from jaxcslc.bodies import pseudo_inertia
 from scripts.studies.payload.task import CENTRE, Task
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxcslc.identification.report import text_table
+from jaxcslc._text_table import text_table
 from scripts.studies.payload.arms import LEARNT, METHODS, NOT_LEARNT
 from scripts.studies.payload.errors import SIGMAS
 from scripts.studies.payload.task import CASES, MOMENTS

@@ -18,8 +18,7 @@ import optax
 import optimistix
 from jaxtyping import Array, Float
 
-from jaxcslc.adaptive import AdaptiveNetwork
-from jaxcslc.training import Examples, half_square, normal_equations
+from jaxcslc.training import AdaptiveNetwork, Examples, half_square, normal_equations
 from scripts.studies.peral_classes.classic_rules import ScaledConjugateGradient, quickprop, rprop
 
 

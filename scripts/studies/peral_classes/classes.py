@@ -10,20 +10,22 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import jaxcslc as jc
-from jaxcslc.adaptive import (
+from jaxcslc.manipulator import LinkParameters
+from jaxcslc.systems import system_patterns
+from jaxcslc.training import (
     HARD_LIMITER,
     LINEAR_COMBINER,
     AdaptiveNetwork,
+    Examples,
     RadialBasis,
+    examples,
     fully_connected,
     inverse_dynamics,
     linear_combiner,
 )
-from jaxcslc.manipulator import LinkParameters
-from jaxcslc.systems import system_patterns
-from jaxcslc.training import Examples, examples
 from scripts.studies.systems.example import Example, recording_of
-from scripts.studies.systems.examples import LORENZ, VEHICLE
+from scripts.studies.systems.examples.lorenz import LORENZ
+from scripts.studies.systems.examples.vehicle import VEHICLE
 
 
 Drawn = tuple[Any, np.ndarray, np.ndarray | None]

@@ -34,8 +34,8 @@ from typing import Any
 import jax
 
 import jaxcslc as jc
-from jaxcslc.identification.report import all_or_nothing, write_csv
 from jaxcslc.plotting import save_picture
+from jaxcslc.report import all_or_nothing, write_csv
 from jaxcslc.training import SwitchWhen
 from scripts.studies import command
 from scripts.studies.peral_classes.classes import CLASSES, problem

@@ -10,18 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxcslc.adaptive import AdaptiveNetwork
 from jaxcslc.training import (
     PERAL,
     AbstractRule,
     AdaptedRates,
+    AdaptiveNetwork,
     Backpropagation,
     Examples,
     Plan,
     Record,
     Schedule,
-    State,
     SwitchWhen,
+    TrainingState,
     half_square,
     training_steps,
 )
@@ -107,12 +107,12 @@ def states(
     plan: Plan,
     weights: Float[Array, "seeds trainings weights"],
     rates: Float[Array, "seeds trainings rules"],
-) -> State:
+) -> TrainingState:
     """Trainings before their first epoch, with first rates of each rule."""
     lead = weights.shape[:2]
     flat = weights.reshape(-1, weights.shape[-1])
     keys = jax.random.split(jax.random.key(0), len(flat))
-    state = jax.vmap(lambda w, key: State.first(network, plan, w, key))(flat, keys)
+    state = jax.vmap(lambda w, key: TrainingState.first(network, plan, w, key))(flat, keys)
     rows = jnp.broadcast_to(rates.reshape(len(flat), -1, 1), state.rates.shape)
     state = eqx.tree_at(lambda s: s.rates, state, rows)
     return jax.tree.map(lambda x: x.reshape(*lead, *x.shape[1:]), state)
@@ -123,13 +123,13 @@ def side_by_side(
     network: AdaptiveNetwork,
     plan: Plan,
     examples: Examples,
-    state: State,
+    state: TrainingState,
     epochs: int,
     keep_weights: bool,
 ) -> Record:
     """Every seed's trainings side by side, (seeds, trainings, epochs)."""
 
-    def of_seed(pair: tuple[Examples, State]) -> Record:
+    def of_seed(pair: tuple[Examples, TrainingState]) -> Record:
         patterns, several = pair
         return jax.vmap(
             lambda one: training_steps(network, plan, patterns, None, one, epochs, keep_weights)[1]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxcslc.identification.report import text_table
+from jaxcslc._text_table import text_table
 from scripts.studies.peral_classes.classes import CLASSES
 from scripts.studies.peral_classes.results import (
     BACKPROPAGATION,

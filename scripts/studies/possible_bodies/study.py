@@ -17,8 +17,9 @@ import pinocchio
 from jaxtyping import Float
 
 import jaxcslc as jc
+from jaxcslc._text_table import text_table
 from jaxcslc.export import export_robot, read_motor_inertias
-from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
+from jaxcslc.report import all_or_nothing, write_csv
 from scripts.studies import command
 from scripts.studies.checks.arms import GEARED, urdf
 from scripts.studies.checks.recordings import Conditions, record

@@ -21,9 +21,8 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import degree_of_excitation
-from jaxcslc.identification.report import all_or_nothing, write_csv
 from jaxcslc.plotting import save_picture
+from jaxcslc.report import all_or_nothing, degree_of_excitation, write_csv
 from scripts.studies import command
 from scripts.studies.puma560.figures import (
     CAPTIONS,

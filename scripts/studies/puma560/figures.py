@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import predicted_torque
+from jaxcslc.report import predicted_torque
 from scripts.studies.motor.pictures import motor_curve_picture, motor_response_picture
 from scripts.studies.puma560.applied_torque import applied_torque, applied_torque_picture
 from scripts.studies.puma560.machine_pictures import friction_picture, hysteresis_picture

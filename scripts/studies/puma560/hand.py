@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxcslc import CSLC, Patterns
-from jaxcslc.identification import torque_errors
-from jaxcslc.identification.prediction import link_poses
-from jaxcslc.network.terms import JointProjection
+from jaxcslc.instruments import link_poses
+from jaxcslc.network import JointProjection
+from jaxcslc.report import torque_errors
 
 
 Numbers = Array | np.ndarray

@@ -9,8 +9,8 @@ from jaxtyping import Array, Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.adaptive import AdaptiveNetwork, inverse_dynamics
-from jaxcslc.identification import SystematicError, systematic_error
+from jaxcslc.training import AdaptiveNetwork, inverse_dynamics
+from jaxcslc.uncertainty import SystematicError, systematic_error
 from scripts.studies.motor.linearity import limited
 from scripts.studies.training.side_by_side import (
     ROUTES,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxcslc.page import (
+from jaxcslc.report import (
     AbstractBlock,
     Column,
     Details,

@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification.report import all_or_nothing, write_csv, write_json
+from jaxcslc.report import all_or_nothing, write_csv, write_json
 from scripts.studies import command
 from scripts.studies.tables import rows_table
 

@@ -8,7 +8,8 @@ from jaxtyping import Array, Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import coefficient_rows, uncertainty_interval
+from jaxcslc.report import coefficient_rows
+from jaxcslc.uncertainty import uncertainty_interval
 from scripts.studies.puma560.agreement import agreement
 from scripts.studies.puma560.hand import hand_errors
 from scripts.studies.puma560.machines import SOLVED, TRAINED, IdentifiedMachine, SeedTrainings

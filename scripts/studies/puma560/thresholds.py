@@ -7,9 +7,9 @@ from jaxtyping import Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.motion import (
+from jaxcslc.recordings import (
     DEFAULT_THRESHOLD_FRACTION,
-    StaticFriction,
+    FrictionThresholds,
     friction_thresholds,
     thresholds_from_residuals,
 )
@@ -52,11 +52,13 @@ def threshold_rows(puma: IdentifiedMachine, refined: Refinement) -> Rows:
     return rows
 
 
-def _yes_or_no(friction: StaticFriction, joint: int) -> str:
+def _yes_or_no(friction: FrictionThresholds, joint: int) -> str:
     return "yes" if friction.significant[joint] else "no"
 
 
-def true_ramps(machine: sim.Machine, truth: sim.Truth) -> tuple[StaticFriction, StaticFriction]:
+def true_ramps(
+    machine: sim.Machine, truth: sim.Truth
+) -> tuple[FrictionThresholds, FrictionThresholds]:
     """What the same criterion sees in the rotors' true friction, and in friction by Eqn. 2.5-4."""
     velocity = truth.rotor_velocity
     without_static = np.array(machine.viscous) * velocity + np.array(machine.dry) * np.sign(

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 
 import sim
-from jaxcslc.identification.report import all_or_nothing, write_csv
+from jaxcslc.report import all_or_nothing, write_csv
 from scripts.studies import command
 from scripts.studies.puma560.machines import machines
 from scripts.studies.tables import rows_table

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import jaxcslc as jc
 from jaxcslc.manipulator import tx40
-from jaxcslc.motion import Recording, resample
+from jaxcslc.recordings import Recording, resample
 from scripts.examples import franka_panda, staubli_tx40
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxcslc.identification.report import text_table
+from jaxcslc._text_table import text_table
 from scripts.studies import command
 from scripts.studies.real_robots.arms import DATA, READERS, Arm, read
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.identification import standard_uncertainty, systematic_error
+from jaxcslc.uncertainty import standard_uncertainty, systematic_error
 from scripts.studies import command
 from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm

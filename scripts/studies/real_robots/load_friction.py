@@ -1,7 +1,7 @@
 """Is dry friction that grows with the load worth a term, joint by joint, on real arms?
 
 The torque of a joint's gears presses their teeth, so dry friction may have a part
-kl sgn(qd) |rigid torque|, with kl of a few percent (`jaxcslc.identification.fit_load`). Both models
+kl sgn(qd) |rigid torque|, with kl of a few percent (`jaxcslc.friction.fit_load`). Both models
 have the friction that `--friction` names, and are fitted to motion through a 20 Hz Butterworth
 filter. Errors are root mean squares over judged samples with the term over those without it [%]: on
 eighths of the fitted motion, each predicted by a fit to the others, and on the motion that is
@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.identification import fit_load, predicted_torque
-from jaxcslc.identification.friction import linearised
+from jaxcslc.friction import fit_load, linearised
+from jaxcslc.report import predicted_torque
 from scripts.studies import command
 from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm

@@ -34,7 +34,7 @@ class Model(NamedTuple):
     settings: jc.Settings
     seconds: float
     note: str
-    states: jc.identification.PreSlidingFit | None = None
+    states: jc.friction.PreSlidingFit | None = None
 
 
 def usual_models(arm: Arm) -> Iterator[Model]:
@@ -123,7 +123,7 @@ FAMILIES: dict[str, Callable[[Arm], Iterator[Model]]] = {
 }
 
 
-def _end(estimators: jc.identification.EstimatorComparison) -> str:
+def _end(estimators: jc.likelihood.EstimatorComparison) -> str:
     likelihood = estimators.likelihood
     ended = "converged" if likelihood.converged else "not converged"
     return f"{ended} after {likelihood.steps} steps"

@@ -2,7 +2,7 @@
 
 Both models have the robot's friction without static friction, and are fitted to motion through a
 20 Hz Butterworth filter, slow pairs included. One of them has dry friction with a state along the
-motion (`jaxcslc.identification.fit_pre_sliding`). Errors are root mean squares over all samples,
+motion (`jaxcslc.friction.fit_pre_sliding`). Errors are root mean squares over all samples,
 with states over those without [%]: on eighths of the fitted motion, each predicted by a fit to the
 others, and on the motion that is judged. A joint whose held-out error falls by no more than chance
 explains keeps the sign of velocity.
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.identification import fit_pre_sliding
+from jaxcslc.friction import fit_pre_sliding
 from scripts.studies import command
 from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm

@@ -2,11 +2,11 @@
 
 Models are those of `jaxcslc identify` by its defaults. Errors are 100 |e| / |torque| of each joint
 on the motion that is judged, of the raw torque, over all samples, as in `study.py`. Friction of
-joints at rest (`jaxcslc.motion.at_rest`) is
+joints at rest (`jaxcslc.recordings.at_rest`) is
 
 - by the sign of the measured velocity, as of joints that move;
 - none; that of the motion before; or the mean of that of the motion before and after, as
-  `jaxcslc.identification.predicted_torque` has it (unknown at the ends of a recording: none).
+  `jaxcslc.report.predicted_torque` has it (unknown at the ends of a recording: none).
 """
 
 import dataclasses
@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.motion import at_rest, directions_beside
+from jaxcslc.recordings import at_rest, directions_beside
 from scripts.studies import command
 from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm

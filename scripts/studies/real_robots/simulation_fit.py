@@ -23,7 +23,7 @@ from mujoco import sysid
 
 import jaxcslc as jc
 import sim
-from jaxcslc.motion import Patterns
+from jaxcslc.recordings import Patterns
 from scripts.studies import command
 from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm

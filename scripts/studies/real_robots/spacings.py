@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.identification.report import text_table
+from jaxcslc._text_table import text_table
 from scripts.studies import command
 from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import READERS, Arm, read

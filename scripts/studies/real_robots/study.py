@@ -32,10 +32,10 @@ from jaxtyping import Float
 from tqdm import tqdm
 
 import jaxcslc as jc
-from jaxcslc.identification import predicted_torque
-from jaxcslc.identification.friction import along_motion
-from jaxcslc.identification.report import text_table, write_csv
-from jaxcslc.motion import Patterns, Recording
+from jaxcslc._text_table import text_table
+from jaxcslc.friction import along_motion
+from jaxcslc.recordings import Patterns, Recording
+from jaxcslc.report import predicted_torque, write_csv
 from scripts.studies import command
 from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm, read

@@ -24,9 +24,10 @@ import numpy as np
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification.report import text_table, write_csv
-from jaxcslc.motion import choose_spacing
+from jaxcslc._text_table import text_table
 from jaxcslc.plotting import save_picture
+from jaxcslc.recordings import choose_spacing
+from jaxcslc.report import write_csv
 from scripts.studies import command
 from scripts.studies.reidentification.pictures import reidentification_picture
 from scripts.studies.rows import Rows, made_of

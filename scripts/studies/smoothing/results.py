@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-from jaxcslc.identification.report import text_table
+from jaxcslc._text_table import text_table
 from jaxcslc.plotting import new_figure
 
 

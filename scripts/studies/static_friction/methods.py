@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.motion import choose_spacing
+from jaxcslc.recordings import choose_spacing
 from scripts.studies.static_friction.windows import fit_windows, motion_windows
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxcslc import CSLC, Recording
-from jaxcslc.identification.likelihood import runs
+from jaxcslc.likelihood import runs
 
 
 _STEPS = 4  # of integration between two samples

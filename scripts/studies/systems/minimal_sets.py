@@ -25,18 +25,12 @@ from jaxcslc.systems import Constant, System, Variable
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.systems.example import Example
-from scripts.studies.systems.examples import (
-    CART_POLE,
-    COUPLED_TANKS,
-    DC_MOTOR,
-    FREE_EXPONENT,
-    FREE_PERIOD,
-    LORENZ,
-    QUADROTOR,
-    SATURATING_TYRES,
-    STRIBECK,
-    VEHICLE,
-)
+from scripts.studies.systems.examples.cart_pole import CART_POLE
+from scripts.studies.systems.examples.lorenz import LORENZ
+from scripts.studies.systems.examples.motor import DC_MOTOR, FREE_PERIOD, STRIBECK
+from scripts.studies.systems.examples.quadrotor import QUADROTOR
+from scripts.studies.systems.examples.tanks import COUPLED_TANKS, FREE_EXPONENT
+from scripts.studies.systems.examples.vehicle import SATURATING_TYRES, VEHICLE
 
 
 EXAMPLES = (

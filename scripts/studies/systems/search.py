@@ -24,17 +24,15 @@ from typing import Any
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
+from jaxcslc._text_table import text_table
+from jaxcslc.report import all_or_nothing, write_csv
 from jaxcslc.systems import ConstantSearch, SystemRecording, search_constants, system_patterns
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.systems.example import Example
-from scripts.studies.systems.examples import (
-    FREE_EXPONENT,
-    FREE_PERIOD,
-    SATURATING_TYRES,
-    STRIBECK,
-)
+from scripts.studies.systems.examples.motor import FREE_PERIOD, STRIBECK
+from scripts.studies.systems.examples.tanks import FREE_EXPONENT
+from scripts.studies.systems.examples.vehicle import SATURATING_TYRES
 
 
 jc.enable_x64()

@@ -35,9 +35,10 @@ from typing import Any
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.identification import Identification
-from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
-from jaxcslc.motion import Patterns
+from jaxcslc._text_table import text_table
+from jaxcslc.least_squares import Identification
+from jaxcslc.recordings import Patterns
+from jaxcslc.report import all_or_nothing, write_csv
 from jaxcslc.systems import (
     SystemRecording,
     correct_for_noise,
@@ -47,14 +48,12 @@ from jaxcslc.systems import (
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.systems.example import Example
-from scripts.studies.systems.examples import (
-    CART_POLE,
-    COUPLED_TANKS,
-    DC_MOTOR,
-    LORENZ,
-    QUADROTOR,
-    VEHICLE,
-)
+from scripts.studies.systems.examples.cart_pole import CART_POLE
+from scripts.studies.systems.examples.lorenz import LORENZ
+from scripts.studies.systems.examples.motor import DC_MOTOR
+from scripts.studies.systems.examples.quadrotor import QUADROTOR
+from scripts.studies.systems.examples.tanks import COUPLED_TANKS
+from scripts.studies.systems.examples.vehicle import VEHICLE
 
 
 jc.enable_x64()

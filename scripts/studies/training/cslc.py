@@ -20,7 +20,7 @@ import numpy as np
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification.report import all_or_nothing, write_csv, write_json
+from jaxcslc.report import all_or_nothing, write_csv, write_json
 from scripts.studies import command
 from scripts.studies.puma560.machines import (
     SOLVED,

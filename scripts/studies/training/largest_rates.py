@@ -35,17 +35,19 @@ from matplotlib.figure import Figure
 
 import jaxcslc as jc
 import sim
-from jaxcslc.adaptive import AdaptiveNetwork, inverse_dynamics
-from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
+from jaxcslc._text_table import text_table
 from jaxcslc.plotting import COLOURS, STYLES, new_figure, save_picture
+from jaxcslc.report import all_or_nothing, write_csv
 from jaxcslc.training import (
     AbstractRule,
     AdaptedRates,
+    AdaptiveNetwork,
     Cost,
     Examples,
     Plan,
     examples,
     half_square,
+    inverse_dynamics,
     mean_modulus,
     train,
 )

@@ -35,9 +35,15 @@ from jaxtyping import Array, Bool, Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.adaptive import AdaptiveNetwork, inverse_dynamics, subnetwork_masks
-from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
-from jaxcslc.training import examples, normal_equations
+from jaxcslc._text_table import text_table
+from jaxcslc.report import all_or_nothing, write_csv
+from jaxcslc.training import (
+    AdaptiveNetwork,
+    examples,
+    inverse_dynamics,
+    normal_equations,
+    subnetwork_masks,
+)
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.tables import median_text

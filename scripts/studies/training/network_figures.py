@@ -25,16 +25,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import jaxcslc as jc
-from jaxcslc.adaptive import AdaptiveNetwork, PolynomialTerms, fully_connected
-from jaxcslc.identification.report import all_or_nothing, write_json
 from jaxcslc.plotting import save_picture
+from jaxcslc.report import all_or_nothing, write_json
 from jaxcslc.training import (
+    AdaptiveNetwork,
     Backpropagation,
     FixedRates,
     PerceptronRule,
     Plan,
+    PolynomialTerms,
     Training,
     examples,
+    fully_connected,
     half_square,
     mean_modulus,
     train,

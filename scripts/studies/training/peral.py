@@ -28,14 +28,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import jaxcslc as jc
-from jaxcslc.identification.report import all_or_nothing, write_csv, write_json
 from jaxcslc.plotting import save_picture
+from jaxcslc.report import all_or_nothing, write_csv, write_json
 from jaxcslc.training import (
     AdaptedRates,
     Backpropagation,
     NormalEquations,
     Plan,
-    State,
+    TrainingState,
     half_square,
     normal_equations,
     training_steps,
@@ -130,7 +130,7 @@ def to_the_minimum(
     numbers: Sequence[int],
     options: argparse.Namespace,
     bar: Any,
-) -> State:
+) -> TrainingState:
     """Backpropagation from some of the starts until all are near the least cost."""
     network = problem.network
     plan = Plan(
@@ -142,7 +142,7 @@ def to_the_minimum(
     )
     start = starts(problem, options.starts)[np.array(numbers)]
     keys = jax.random.split(jax.random.key(0), len(numbers))
-    state = jax.vmap(lambda w, key: State.first(network, plan, w, key))(start, keys)
+    state = jax.vmap(lambda w, key: TrainingState.first(network, plan, w, key))(start, keys)
     epochs = min(CHECKS, options.minimum_epochs)
     steps = eqx.filter_jit(
         jax.vmap(lambda s: training_steps(network, plan, equations, None, s, epochs)[0])

@@ -15,17 +15,19 @@ from jaxtyping import Array, Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.adaptive import AdaptiveNetwork, fully_connected, inverse_dynamics
 from jaxcslc.training import (
     PERAL,
     AbstractRule,
     AdaptedRates,
+    AdaptiveNetwork,
     Backpropagation,
     Cost,
     Examples,
     Plan,
     Training,
     examples,
+    fully_connected,
+    inverse_dynamics,
     mean_modulus,
     normal_equations,
     train,

@@ -15,8 +15,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxcslc.adaptive import LINEAR_COMBINER, AdaptiveNetwork
-from jaxcslc.training import AbstractRule, Examples, Plan, State, training_steps
+from jaxcslc.training import (
+    LINEAR_COMBINER,
+    AbstractRule,
+    AdaptiveNetwork,
+    Examples,
+    Plan,
+    TrainingState,
+    training_steps,
+)
 
 
 BACKPROPAGATION, PERAL_RULE = "backpropagation", "PERAL"
@@ -119,7 +126,7 @@ def seconds_per_epoch(
     epochs: int = 20,
 ) -> float:
     """Time of one epoch of one training alone, the search for its rates included [s]."""
-    state = State.first(network, plan, weights, jax.random.key(0))
+    state = TrainingState.first(network, plan, weights, jax.random.key(0))
     return (
         _quickest(lambda: training_steps(network, plan, patterns, None, state, epochs), 3) / epochs
     )

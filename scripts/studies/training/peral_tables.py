@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxcslc.identification.report import text_table
+from jaxcslc._text_table import text_table
 from scripts.studies.training.peral_comparison import RULES, Outcome, Problem, starts
 from scripts.studies.training.peral_operations import (
     BACKPROPAGATION,

@@ -17,12 +17,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import jaxcslc as jc
-from jaxcslc.adaptive import AdaptiveNetwork, inverse_dynamics
 from jaxcslc.training import (
     PERAL,
     AbstractRates,
     AbstractRule,
     AdaptedRates,
+    AdaptiveNetwork,
     Backpropagation,
     Examples,
     FixedRates,
@@ -32,6 +32,7 @@ from jaxcslc.training import (
     examples,
     half_rms,
     half_square,
+    inverse_dynamics,
     train,
     with_normal_equations,
 )

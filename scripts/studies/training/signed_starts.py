@@ -25,9 +25,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.adaptive import signed_start
-from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
-from jaxcslc.training import mean_modulus, train
+from jaxcslc._text_table import text_table
+from jaxcslc.report import all_or_nothing, write_csv
+from jaxcslc.training import mean_modulus, signed_start, train
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.training.peral_comparison import (

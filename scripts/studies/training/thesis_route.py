@@ -12,9 +12,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import jaxcslc as jc
-from jaxcslc.adaptive import inverse_dynamics, subnetwork_masks
-from jaxcslc.identification import predicted_torque
-from jaxcslc.motion import StaticFriction, friction_thresholds, thresholds_from_residuals
+from jaxcslc.recordings import FrictionThresholds, friction_thresholds, thresholds_from_residuals
+from jaxcslc.report import predicted_torque
 from jaxcslc.training import (
     PERAL,
     AdaptedRates,
@@ -24,6 +23,8 @@ from jaxcslc.training import (
     Training,
     examples,
     half_rms,
+    inverse_dynamics,
+    subnetwork_masks,
     train,
 )
 
@@ -71,7 +72,7 @@ class ThesisRoute:
 
     first: Stage
     second: Stage
-    static_friction: StaticFriction
+    static_friction: FrictionThresholds
 
     @property
     def k(self) -> Float[Array, " coefficients"]:

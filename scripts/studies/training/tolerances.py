@@ -36,18 +36,21 @@ from scipy.stats import spearmanr
 
 import jaxcslc as jc
 import sim
-from jaxcslc.adaptive import AdaptiveNetwork, fully_connected, inverse_dynamics
-from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
+from jaxcslc._text_table import text_table
+from jaxcslc.report import all_or_nothing, write_csv
 from jaxcslc.training import (
     PERAL,
     AbstractRule,
+    AdaptiveNetwork,
     Backpropagation,
     Examples,
     FixedRates,
     IdealPERAL,
     Plan,
     examples,
+    fully_connected,
     half_square,
+    inverse_dynamics,
     train,
 )
 from scripts.studies import command

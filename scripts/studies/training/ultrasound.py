@@ -26,8 +26,9 @@ from typing import Any
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc.identification.report import all_or_nothing, text_table, write_csv
+from jaxcslc._text_table import text_table
 from jaxcslc.plotting import save_picture
+from jaxcslc.report import all_or_nothing, write_csv
 from jaxcslc.training import Cost, half_square, mean_modulus
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of

@@ -187,7 +187,7 @@ def possible_backlash(
     """Return where torque, velocity and acceleration have the same sign (2.5-7).
 
     A zero, whose true sign is not known, agrees with any sign, as the docstring of
-    `jaxcslc.motion.possible_backlash` promises. To the letter, Eqn. 2.5-7 is false there.
+    `jaxcslc.recordings.possible_backlash` promises. To the letter, Eqn. 2.5-7 is false there.
     """
     signs = np.sign([torque, qd, qdd])
     return ~(np.any(signs > 0, axis=0) & np.any(signs < 0, axis=0))

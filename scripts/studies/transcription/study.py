@@ -24,10 +24,15 @@ import numpy as np
 
 import jaxcslc as jc
 import sim
-from jaxcslc.adaptive import inverse_dynamics, subnetwork_masks
-from jaxcslc.identification.report import all_or_nothing, write_csv, write_json
-from jaxcslc.motion import TorqueAlignment
-from jaxcslc.training import Training, examples, train as train_by_library
+from jaxcslc.recordings import TorqueAlignment
+from jaxcslc.report import all_or_nothing, write_csv, write_json
+from jaxcslc.training import (
+    Training,
+    examples,
+    inverse_dynamics,
+    subnetwork_masks,
+    train as train_by_library,
+)
 from scripts.studies import command
 from scripts.studies.tables import rows_table
 from scripts.studies.training.thesis_route import plan_of

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from .network import Signals, Subnetwork, Values, forward, outputs
+from scripts.studies.transcription.network import Signals, Subnetwork, Values, forward, outputs
 
 
 Coefficients = Float[np.ndarray, " coefficients"]

@@ -7,8 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from .mutations import NUMBERS, WORDS, mutated_bytes, mutated_document, mutated_text
-from .templates import BINARIES, ROBOTS, TABLES
+from scripts.tools.fuzz.mutations import (
+    NUMBERS,
+    WORDS,
+    mutated_bytes,
+    mutated_document,
+    mutated_text,
+)
+from scripts.tools.fuzz.templates import BINARIES, ROBOTS, TABLES
 
 
 class Case(NamedTuple):

@@ -145,8 +145,8 @@ def _work(connection: Connection, templates: Path, folder: Path) -> None:
     """What a worker process does: a row for every number that it is sent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
     _quick_compilation()
-    from .templates import write_templates
-    from .verdict import run_case
+    from scripts.tools.fuzz.templates import write_templates
+    from scripts.tools.fuzz.verdict import run_case
 
     while True:
         number = connection.recv()
@@ -171,9 +171,9 @@ def _quick_compilation() -> None:
 def _show(number: int, output: Path) -> int:
     """Runs one case, and keeps its files."""
     _quick_compilation()
-    from .cases import case
-    from .templates import write_templates
-    from .verdict import run_case
+    from scripts.tools.fuzz.cases import case
+    from scripts.tools.fuzz.templates import write_templates
+    from scripts.tools.fuzz.verdict import run_case
 
     folder = output.absolute() / f"case {number}"
     with tempfile.TemporaryDirectory() as name:

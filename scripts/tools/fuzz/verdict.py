@@ -15,8 +15,7 @@ from typing import Any
 from typer.testing import CliRunner, Result
 
 from jaxcslc.cli._app import app
-
-from .cases import Case, case
+from scripts.tools.fuzz.cases import Case, case
 
 
 MOST_SECONDS = 10.0

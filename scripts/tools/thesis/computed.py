@@ -11,7 +11,8 @@ import numpy as np
 
 import jaxcslc as jc
 import sim
-from jaxcslc.adaptive import (
+from jaxcslc.recordings import DEFAULT_THRESHOLD_FRACTION
+from jaxcslc.training import (
     LINEAR_COMBINER,
     AdaptiveNetwork,
     Layer,
@@ -23,7 +24,6 @@ from jaxcslc.adaptive import (
     network_order,
     order_per_output,
 )
-from jaxcslc.motion import DEFAULT_THRESHOLD_FRACTION
 from scripts.studies.training.peral_operations import COUNTED_FORMULAS, counted
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.motion.files import load_recording
+from jaxcslc.recordings import load_recording
 from scripts.benchmarks import long_recording
 
 

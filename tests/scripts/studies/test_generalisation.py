@@ -52,7 +52,7 @@ def test_epsilon_is_that_of_compare(
         np.arange(20.0), q, qd, qdd, rng.normal(size=(20, 6)), mask, np.ones((20, 6), bool)
     )
     expected = jc.compare(puma, patterns, {"k": puma_k}).epsilon[0]
-    error = jc.identification.torque_errors(puma, patterns, puma_k)
+    error = jc.report.torque_errors(puma, patterns, puma_k)
     assert_allclose(networks.epsilon(error, jnp.asarray(mask)), expected, rtol=1e-12)
     assert np.isnan(networks.epsilon(error, jnp.zeros((20, 6), bool)))
 

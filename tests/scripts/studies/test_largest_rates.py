@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from jaxcslc.adaptive import fully_connected
-from jaxcslc.training import PERAL, Backpropagation, examples, half_square
+from jaxcslc.training import PERAL, Backpropagation, examples, fully_connected, half_square
 from scripts.studies.training import largest_rates
 from scripts.studies.training.peral_comparison import Problem
 

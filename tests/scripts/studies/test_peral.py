@@ -15,18 +15,21 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxcslc as jc
 import sim
-from jaxcslc.adaptive import (
+from jaxcslc.training import (
     HYPERBOLIC_TANGENT as TANH,
+    PERAL,
     AdaptiveNetwork,
+    Backpropagation,
     ContextLayer,
     Layer,
     Links,
     Signals,
     Subnetwork,
+    examples,
     fully_connected,
+    half_square,
     inverse_dynamics,
 )
-from jaxcslc.training import PERAL, Backpropagation, examples, half_square
 from scripts.studies.training import (
     peral,
     peral_comparison as comparison,

@@ -10,8 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxcslc.adaptive import fully_connected
-from jaxcslc.training import Backpropagation
+from jaxcslc.training import Backpropagation, fully_connected
 from scripts.studies.peral_classes import (
     alternatives,
     classes,

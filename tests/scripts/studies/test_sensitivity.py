@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 import sim
-from jaxcslc.motion import as_recorded
+from jaxcslc.recordings import as_recorded
 from scripts.studies.sensitivity import output_sensitivity
 
 

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxcslc as jc
-from jaxcslc.adaptive import inverse_dynamics
+from jaxcslc.training import inverse_dynamics
 from scripts.studies.training import masks
 
 

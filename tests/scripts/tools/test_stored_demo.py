@@ -15,7 +15,8 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 import sim
-from jaxcslc.identification import Identification, SystematicError, systematic_error
+from jaxcslc.least_squares import Identification
+from jaxcslc.uncertainty import SystematicError, systematic_error
 from scripts.studies.puma560 import experiment
 from scripts.studies.puma560.machines import as_in_the_thesis, fitted, machines
 from scripts.studies.truth import published_coefficients, true_coefficients

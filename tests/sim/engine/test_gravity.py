@@ -6,8 +6,7 @@ import pytest
 
 import sim
 from sim.engine._gravity import largest_gravity
-
-from .test_mjcf import RELATIVE, mujoco_torque, random_chain
+from tests.sim.engine.test_mjcf import RELATIVE, mujoco_torque, random_chain
 
 
 @pytest.mark.parametrize("kinds", ["R", "P", "RPR", "RRPRRR"])

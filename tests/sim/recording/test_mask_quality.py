@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sim import mask_quality
+from sim.recording._mask_quality import mask_quality
 
 
 def test_against_a_literal_count(rng: np.random.Generator) -> None:

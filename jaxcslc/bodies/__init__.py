@@ -1,0 +1,97 @@
+"""Physically consistent bodies: possible link parameters, nearest to identified coefficients.
+
+Input is a fit (coefficients with their covariance), and knowledge of the robot: its file, or a
+`Prior`. Output is masses, centres of gravity and inertia tensors, and the coefficients that these
+imply. The possible bodies solve a semidefinite programme (Sousa and Cortesão 2014).
+
+     fit, prior, knowledge --> NearestBodies --> bodies --> PhysicalParameters --> PossibleFit
+                               (programme)                  (link parameters)      (judged)
+
+Modules, in reading order:
+
+- `_body`: ten numbers, pseudo-inertia, and coefficients as forms in them.
+- `_link_knowledge`, `_prior`: values, errors and bounds of coefficients and link parameters.
+- `_nearest_body`: semidefinite least squares, and one body nearest to an estimate.
+- `_nearest_bodies`: the programme of all links.
+- `_principal_programme`, `_bounded_least_squares`: search for links with principal axes.
+- `_physical_parameters`: link parameters of a fit.
+- `_possible_fit`: possible bodies compared with the unconstrained fit on held-out data.
+"""
+
+from ._body import (
+    bodies_of as bodies_of,
+    body_map as body_map,
+    body_of as body_of,
+    body_of_pseudo_inertia as body_of_pseudo_inertia,
+    constrained as constrained,
+    link_of as link_of,
+    pseudo_inertia as pseudo_inertia,
+)
+from ._link_knowledge import (
+    KNOWN_PARAMETERS as KNOWN_PARAMETERS,
+    Known as Known,
+    LinkKnowledge as LinkKnowledge,
+)
+from ._nearest_bodies import (
+    WEAK as WEAK,
+    NearestBodies as NearestBodies,
+    Optimum as Optimum,
+    balls as balls,
+    by_discrepancy as by_discrepancy,
+    prior_of as prior_of,
+)
+from ._nearest_body import Fitted as Fitted, nearest_body as nearest_body, whitening as whitening
+from ._physical_parameters import (
+    POSSIBILITY as POSSIBILITY,
+    PhysicalParameters as PhysicalParameters,
+    fixed_bodies as fixed_bodies,
+    in_file_frames as in_file_frames,
+    physical_parameters as physical_parameters,
+    possible_coefficients as possible_coefficients,
+)
+from ._possible_fit import (
+    Choice as Choice,
+    JudgedPart as JudgedPart,
+    PossibleFit as PossibleFit,
+    judged_bodies as judged_bodies,
+    moved_bodies as moved_bodies,
+    other_masses as other_masses,
+    possible_fit as possible_fit,
+    possible_text as possible_text,
+)
+from ._prior import (
+    Prior as Prior,
+    information_rows as information_rows,
+    load_prior as load_prior,
+    prior_from as prior_from,
+    with_knowledge as with_knowledge,
+)
+
+
+__all__ = [
+    "KNOWN_PARAMETERS",
+    "POSSIBILITY",
+    "WEAK",
+    "Fitted",
+    "Known",
+    "LinkKnowledge",
+    "NearestBodies",
+    "Optimum",
+    "PhysicalParameters",
+    "PossibleFit",
+    "Prior",
+    "balls",
+    "bodies_of",
+    "body_map",
+    "body_of",
+    "body_of_pseudo_inertia",
+    "by_discrepancy",
+    "constrained",
+    "link_of",
+    "load_prior",
+    "nearest_body",
+    "physical_parameters",
+    "prior_of",
+    "pseudo_inertia",
+    "whitening",
+]

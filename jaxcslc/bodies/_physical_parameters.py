@@ -1,0 +1,400 @@
+"""Physically consistent link parameters of a fit, and the coefficients that they imply.
+
+The programme itself is in `_nearest_bodies`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from .._environment import require
+from ..least_squares import torque_of
+from ..manipulator import LinkParameters, Manipulator, seen_from
+from ..network import CSLC
+from ..recordings import Patterns
+from ._body import bodies_of, constrained, link_of
+from ._link_knowledge import LinkKnowledge
+from ._nearest_bodies import WEAK, NearestBodies, by_discrepancy
+from ._nearest_body import Fitted
+
+
+if TYPE_CHECKING:
+    import pandas
+
+
+# The part of its prior that every body holds at least.
+LEAST = 1e-3
+
+
+class POSSIBILITY(eqx.Enumeration):
+    """Outcome of the search for possible parameters; the members are the messages."""
+
+    successful = ""
+    inexact = (
+        "The solver stopped before it reached its accuracy: the parameters are possible, but"
+        " there may be nearer ones."
+    )
+    failed = "The solver failed to find possible parameters: check units, covariance and prior."
+
+
+@dataclass(frozen=True, eq=False)
+class PhysicalParameters:
+    """Physically possible link parameters, and the coefficients that they imply.
+
+    **Attributes**
+
+    - `names`: of the coefficients.
+    - `links`: one a joint, `fixed` bodies included: positive mass, positive definite
+      pseudo-inertia, motor inertia of zero or more.
+    - `links_without_fixed`: the same without the `fixed` bodies.
+    - `bodies`: the latter in the frames of the robot's file: of its bodies in URDF and MJCF, of
+      its links in TOML.
+    - `body_names`: of the file's bodies, or the links' numbers.
+    - `friction`: friction coefficients by kind, as `CSLC.coefficients_from` takes them.
+    - `k`: (p,) the coefficients that all of these imply.
+    - `prior_weight`: of the links that decide what the data do not.
+    - `distance`: root mean square change of the determined coefficients against the fit, in
+      standard errors.
+    - `torque_distance`: (n,) root mean square change of each joint's torque over the patterns
+      [N m or N]; NaN where no patterns were given.
+    - `result`: a member of `POSSIBILITY`.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.linspace(0, 5, 500)[:, None]
+    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), *motion))
+    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
+    >>> fit = jc.LeastSquares().fit(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
+    >>> parameters = jc.physical_parameters(network, fit)
+    >>> bool(parameters.links[0].mass > 0), parameters.to_pandas().shape[0]
+    (True, 1)
+    """
+
+    names: tuple[str, ...]
+    links: tuple[LinkParameters, ...]
+    links_without_fixed: tuple[LinkParameters, ...]
+    bodies: tuple[LinkParameters, ...]
+    body_names: tuple[str, ...]
+    friction: Mapping[str, Float[np.ndarray, "..."]]
+    k: Float[np.ndarray, " coefficients"]
+    prior_weight: float
+    distance: float
+    torque_distance: Float[np.ndarray, " joints"]
+    result: POSSIBILITY
+
+    @property
+    def viscous(self) -> Float[np.ndarray, "..."] | None:
+        """Viscous friction of each joint [N m s/rad]; None if the network has none."""
+        return self.friction.get("viscous")
+
+    @property
+    def dry(self) -> Float[np.ndarray, "..."] | None:
+        """Dry friction of each joint [N m]; None if the network has none."""
+        return self.friction.get("dry")
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """Return a table with one row per body, in the frames of the robot's file.
+
+        Columns are mass, centre of gravity, the tensor there and motor inertia, in SI units.
+        """
+        pandas = require("pandas", "tables")
+
+        numbers = not any(name for name in self.body_names if not name.isdigit())
+        index = [int(name) for name in self.body_names] if numbers else list(self.body_names)
+        return pandas.DataFrame(
+            [_row(body) for body in self.bodies],
+            index=pandas.Index(index, name="link" if numbers else "body"),
+        )
+
+    def __repr__(self) -> str:
+        masses = ", ".join(f"{float(link.mass):.3g}" for link in self.links)
+        torque = ", ".join(f"{value:.3g}" for value in self.torque_distance)
+        measured = not np.all(np.isnan(self.torque_distance))
+        change = f", torque changed by [{torque}]" if measured else ""
+        return (
+            f"PhysicalParameters({len(self.links)} links of [{masses}] kg,"
+            f" {self.distance:.3g} standard errors from the fit{change})"
+        )
+
+
+def physical_parameters(
+    network: CSLC,
+    fit: Fitted,
+    prior: Sequence[LinkParameters] | None = None,
+    *,
+    fixed: Sequence[LinkParameters | None] | None = None,
+    patterns: Patterns | None = None,
+    motors: bool = True,
+    prior_weight: float | None = None,
+    least: float = LEAST,
+    knowledge: Sequence[LinkKnowledge] = (),
+    throw: bool = True,
+) -> PhysicalParameters:
+    """The physically possible masses, centres of gravity and inertia tensors nearest to a fit.
+
+    Identified coefficients are combinations of link parameters, and may be combinations that no
+    robot has. Every body has a positive definite pseudo-inertia matrix
+    ∫ (x, 1)(x, 1)ᵀ dm, and every such matrix is a body's (Wensing, Kim and Slotine 2018); torque
+    is linear in its entries. So the possible parameters nearest to a fit are the solution of a
+    semidefinite programme (Sousa and Cortesão 2014): it minimises
+
+        (k - k(θ))ᵀ C⁻¹ (k - k(θ)) + w² Σ |J̃ᵢ - 1|² + Σ w'² |other - prior|²
+
+    where C is the fit's covariance, on the combinations that it determines, and J̃ᵢ is link i's
+    pseudo-inertia in units of the prior's: with J₀ = L Lᵀ, J̃ = L⁻¹ J L⁻ᵀ. Its distance from 1 is
+    the second-order part of the distances between bodies that depend on neither units nor frames
+    (Lee, Wensing and Park 2020). Motor inertias and friction that is positive by construction are
+    bounded by zero; they are the `other`, in units of their size.
+
+    Links with zeros, equal moments or principal axes (`LinkInertia`) keep them. Principal axes
+    make the problem bilinear: it is then solved by a bounded search that starts at the prior.
+    Moments and masses that are listed as zero, which no body has, stay at the prior: the torque
+    does not depend on them.
+
+    **Arguments**
+
+    - `network`: p coefficients.
+    - `fit`: of `LeastSquares`; `k`, `covariance` and `undetermined` are used.
+    - `prior`: links that decide what the data do not determine; `network.robot.links` if omitted,
+      or else balls of equal mass between the joints. Impossible links are made possible first.
+    - `fixed`: for each link a known body that is part of it, such as a gripper, or None. The link
+      without it is possible too.
+    - `patterns`: over which `torque_distance` is measured.
+    - `motors`: whether joints have motor inertia where the network has it; False fixes it at zero,
+      as for a file format without it.
+    - `prior_weight`: w, how many standard errors a change of a body by its whole prior counts. If
+      omitted, the largest up to 10 whose bodies are as near to the fit as errors of the data let
+      the truth be (`jaxcslc.bodies.by_discrepancy`), or 0.01 where the prior is balls. Motor
+      inertias that the prior lacks, and friction, have a weight of 0.01 at most.
+    - `least`: every body holds at least this part of its prior: the eigenvalues of J̃ are no less.
+    - `knowledge`: what is known of single parameters of links, from `Prior.link_values`.
+    - `throw`: raise an error if the solver fails, instead of returning the result code.
+
+    **Returns**
+
+    - The parameters, and their distance from the fit.
+
+    **Raises**
+
+    - `ValueError`: for a number of links or coefficients that is not the network's, for a weight
+      or part out of range, for a fit that is not finite, and for bodies fixed to links with
+      principal axes.
+    - `RuntimeError`: with `throw`, if the solver fails, as where no body has what is known of it.
+    - `ImportError`: without the conic solver (the extra `inertia`), where it is needed.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> [c.expression for c in network.coefficients[:3]]
+    ['Izz1 + Im1', 'm1*rx1', 'm1*ry1']
+    >>> class Fit:  # a moment of inertia that is negative
+    ...     k = np.array([-0.5, 0.3, 0.0, 0.2, 0.05])
+    ...     covariance = np.diag([0.4, 1e-3, 1e-3, 1e-3, 1e-3]) ** 2
+    ...     undetermined = np.zeros((5, 5))
+    >>> parameters = jc.physical_parameters(network, Fit())
+    >>> k = parameters.k
+    >>> bool(k[0] > 0), round(float(k[1]), 2), float(parameters.links[0].mass) > 0
+    (True, 0.3, True)
+    """
+    n = network.robot.joint_count
+    for name, links in (("prior", prior), ("fixed", fixed)):
+        if links is not None and len(links) != n:
+            raise ValueError(f"{name}: expected {n} entries, one a joint, got {len(links)}")
+    if prior_weight is not None and not 0 < prior_weight < np.inf:
+        raise ValueError(f"prior_weight: expected a number above 0, got {prior_weight!r}")
+    if not 0 < least < 1:
+        raise ValueError(f"least: expected a number between 0 and 1, got {least!r}")
+    problem = _nearest_bodies(
+        network,
+        fit,
+        prior=prior,
+        fixed=fixed,
+        weight=prior_weight or WEAK,
+        motors=motors,
+        knowledge=knowledge,
+    )
+    if prior_weight is None:
+        problem, optimum = by_discrepancy(problem, least)
+    else:
+        optimum = problem.solve(least)
+    if optimum is None:
+        if throw:
+            raise RuntimeError(f"physical_parameters: {POSSIBILITY[POSSIBILITY.failed]}")
+        bodies, others = problem.prior.bodies, problem.others * problem.scales
+        code = POSSIBILITY.failed
+    else:
+        bodies, others, converged = optimum
+        code = POSSIBILITY.successful if converged else POSSIBILITY.inexact
+
+    inertia = network.robot.inertia
+    motor_mask = np.array([motors and kind.motor for kind in inertia], bool)
+    motor_count = int(motor_mask.sum())
+    motor_inertias = np.zeros(n)
+    motor_inertias[motor_mask] = others[:motor_count]
+    links = tuple(
+        constrained(kind, link_of(body, float(motor)))
+        for kind, body, motor in zip(inertia, bodies + problem.fixed, motor_inertias, strict=True)
+    )
+    without_fixed = tuple(
+        link_of(body, float(motor))
+        for body, motor in zip(bodies_of(links) - problem.fixed, motor_inertias, strict=True)
+    )
+    k = np.einsum("ple,le->p", problem.of_bodies, bodies_of(links))
+    k += problem.of_others @ (others / problem.scales)
+    return PhysicalParameters(
+        network.names,
+        links,
+        without_fixed,
+        in_file_frames(network.robot, without_fixed),
+        body_names(network.robot),
+        _friction(network, k),
+        k,
+        problem.weight,
+        problem.distance(k),
+        _torque_distance(network, k - problem.k, patterns),
+        code,
+    )
+
+
+def distances_from(
+    fit: Fitted,
+    network: CSLC,
+    parameters: PhysicalParameters,
+    patterns: Patterns,
+) -> PhysicalParameters:
+    """Parameters with their distances from another fit than they were computed from.
+
+    **Arguments**
+
+    - `fit`: to measure from, (p,) coefficients with their covariance.
+    - `network`: n joints, p coefficients, those of the fit and of the parameters.
+    - `parameters`: as another estimator has fitted them.
+    - `patterns`: motion (samples, n) that `torque_distance` is measured over.
+
+    **Returns** the parameters with `distance` [standard errors of the fit] and `torque_distance`
+    (n,) [N m or N] from this fit.
+
+    **Raises**
+
+    - `ValueError`: for a fit of another number of coefficients, or one that is not finite.
+    """
+    problem = _nearest_bodies(
+        network, fit, fixed=fixed_bodies(network.robot), weight=parameters.prior_weight
+    )
+    return replace(
+        parameters,
+        distance=problem.distance(parameters.k),
+        torque_distance=_torque_distance(network, parameters.k - problem.k, patterns),
+    )
+
+
+def possible_coefficients(
+    network: CSLC,
+    fit: Fitted,
+    fixed: Sequence[LinkParameters | None] | None,
+    knowledge: Sequence[LinkKnowledge],
+    prior_weight: float,
+) -> Float[np.ndarray, " coefficients"]:
+    """The coefficients of `physical_parameters`, without the parameters.
+
+    **Raises** as `physical_parameters`.
+    """
+    problem = _nearest_bodies(network, fit, fixed=fixed, weight=prior_weight, knowledge=knowledge)
+    optimum = problem.solve(LEAST)
+    if optimum is None:
+        raise RuntimeError(f"possible bodies: {POSSIBILITY[POSSIBILITY.failed]}")
+    return problem.coefficients(optimum)
+
+
+def _nearest_bodies(
+    network: CSLC,
+    fit: Fitted,
+    *,
+    fixed: Sequence[LinkParameters | None] | None,
+    weight: float,
+    prior: Sequence[LinkParameters] | None = None,
+    motors: bool = True,
+    knowledge: Sequence[LinkKnowledge] = (),
+) -> NearestBodies:
+    """The programme of `physical_parameters`, for a network's coefficients."""
+    return NearestBodies.from_fit(
+        network.algebra,
+        network.coefficients,
+        fit,
+        inertial=network.layout.inertial,
+        prior=prior,
+        fixed=fixed,
+        weight=weight,
+        motors=motors,
+        knowledge=knowledge,
+    )
+
+
+def fixed_bodies(robot: Manipulator) -> tuple[LinkParameters | None, ...] | None:
+    """Return the bodies that the robot's file has fixed to its links; None if there are none.
+
+    They are the `fixed` argument of `physical_parameters`.
+    """
+    carried = robot.source.carried if robot.source is not None else ()
+    return carried if any(body is not None for body in carried) else None
+
+
+def in_file_frames(
+    robot: Manipulator, links: Sequence[LinkParameters]
+) -> tuple[LinkParameters, ...]:
+    """Links in the frames that the robot's file has for them."""
+    if robot.source is None or not robot.source.placements:
+        return tuple(links)
+    placements = robot.source.placements
+    return tuple(
+        seen_from(link, np.linalg.inv(pose)) for link, pose in zip(links, placements, strict=True)
+    )
+
+
+def body_names(robot: Manipulator) -> tuple[str, ...]:
+    """Return the names of the bodies in the robot's file.
+
+    Without names, they are the numbers of links, from 1.
+    """
+    names = robot.source.links if robot.source is not None else ()
+    if len(names) == robot.joint_count and all(names):
+        return names
+    return tuple(str(i) for i in range(1, robot.joint_count + 1))
+
+
+def _friction(
+    network: CSLC, k: Float[np.ndarray, " coefficients"]
+) -> dict[str, Float[np.ndarray, "..."]]:
+    """The coefficients beside the inertial ones, as the arguments of `coefficients_from`."""
+    tables: dict[str, np.ndarray] = {}
+    for term in network.input_terms:
+        table = tables.setdefault(term.keyword, np.zeros(term.value_shape))
+        table[term.value_index] = k[network.layout.of(term)]
+    return tables
+
+
+def _torque_distance(
+    network: CSLC, change: Float[np.ndarray, " coefficients"], patterns: Patterns | None
+) -> Float[np.ndarray, " joints"]:
+    """Root mean square torque of a change of coefficients over the patterns of the mask."""
+    if patterns is None:
+        return np.full(network.joint_count, np.nan)
+    torque = torque_of(network, patterns, change)
+    counts = np.asarray(patterns.mask)
+    total = np.sum(np.where(counts, torque, 0.0) ** 2, axis=0)
+    return np.sqrt(total / np.maximum(np.sum(counts, axis=0), 1))
+
+
+def _row(link: LinkParameters) -> dict[str, float]:
+    centre, tensor = np.asarray(link.centre_of_gravity), np.asarray(link.inertia)
+    row = {"mass": float(link.mass)}
+    row |= {f"r{axis}": float(value) for axis, value in zip("xyz", centre, strict=True)}
+    for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
+        row[f"I{'xyz'[a]}{'xyz'[b]}"] = float(tensor[a, b])
+    return row | {"motor_inertia": float(link.motor_inertia)}

@@ -1,0 +1,488 @@
+"""Comparison of possible bodies with the unconstrained fit, on motion that neither was fitted to.
+
+`judged_bodies` is what `identify` calls. It decides whose coefficients the report has.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from .._environment import MissingExtraError
+from ..least_squares import (
+    FoldFit,
+    HostColumns,
+    Identification,
+    LeastSquares,
+    columns_of,
+    torque_by,
+)
+from ..network import CSLC
+from ..recordings import Patterns
+from ..uncertainty import (
+    HeldOut,
+    RelativeError,
+    Source,
+    SystematicError,
+    judged_errors,
+    standard_uncertainty,
+)
+from ._link_knowledge import LinkKnowledge
+from ._physical_parameters import (
+    PhysicalParameters,
+    distances_from,
+    fixed_bodies,
+    physical_parameters,
+    possible_coefficients,
+)
+from ._prior import Prior, with_knowledge
+
+
+# A coefficient that moves by more combined standard errors is warned of: one in sixteen thousand
+# normal errors does.
+_FAR = 4.0
+# A mass that is this many times the file's, or this part of it, is not the link's own.
+_OTHER_MASS = 2.0
+# Coefficients that a warning names of each body.
+_MOST_NAMES = 3
+
+
+def movement_of(
+    fit: Identification, parameters: PhysicalParameters, systematic: SystematicError | None
+) -> Float[np.ndarray, " coefficients"]:
+    """Compute how far each coefficient moves, in standard errors, systematic ones included.
+
+    It is zero where the motion does not determine the coefficient.
+    """
+    error = standard_uncertainty(fit, systematic)
+    change = parameters.k - np.asarray(fit.k)
+    known = np.isfinite(error) & (error > 0.0)
+    return np.where(known, change / np.where(known, error, 1.0), 0.0)
+
+
+def moved_bodies(
+    network: CSLC,
+    fit: Identification,
+    parameters: PhysicalParameters,
+    systematic: SystematicError | None = None,
+    *,
+    motors: bool = True,
+) -> tuple[str, ...]:
+    """A sentence about bodies whose coefficients are those of no body, and what to do; or none.
+
+    - `systematic`: of the fit.
+    - `motors`: whether motor inertia was allowed for.
+    """
+    movement = movement_of(fit, parameters, systematic)
+    far: dict[int, list[int]] = {}
+    for index, coefficient in enumerate(network.algebra.coefficients):
+        if abs(movement[index]) > _FAR:
+            # Base parameters are named after the first link; later ones are what it carries.
+            link = min(addend.term.link for addend in coefficient.addends)
+            far.setdefault(link, []).append(index)
+    if not far:
+        return ()
+    bodies: list[str] = []
+    for link, indices in sorted(far.items()):
+        indices.sort(key=lambda i: -abs(movement[i]))
+        names = ", ".join(network.names[i] for i in indices[:_MOST_NAMES])
+        more = "" if len(indices) <= _MOST_NAMES else f" and {len(indices) - _MOST_NAMES} more"
+        name = parameters.body_names[link]
+        name = f"link {name}" if name.isdigit() else name
+        bodies.append(f"{name} by {abs(movement[indices[0]]):.3g} standard errors ({names}{more})")
+    without_motor = [
+        name
+        for name, inertia in zip(network.robot.joint_names, network.robot.inertia, strict=True)
+        if not (motors and inertia.motor)
+    ]
+    remedies = [
+        "record motion that excites these links more",
+        "say what is known of them with --prior",
+        "add the friction terms that the residuals show",
+    ]
+    if without_motor:
+        remedies.insert(0, f"let {', '.join(without_motor)} have a motor inertia")
+    return (
+        "possible bodies: to be possible, these move from the fit further than its errors explain:"
+        f" {'; '.join(bodies)}. Identified coefficients are those of no body:"
+        f" {', '.join(remedies)}",
+    )
+
+
+def other_masses(network: CSLC, parameters: PhysicalParameters) -> tuple[str, ...]:
+    """A sentence about masses that make up for each other far from the file's, or none.
+
+    Written into a robot's file they surprise: the torque that they give is right, but they are not
+    those of the links.
+    """
+    links = network.robot.links
+    if links is None:
+        return ()
+    texts: list[str] = []
+    for name, link, file in zip(parameters.body_names, parameters.links, links, strict=True):
+        mass, expected = float(link.mass), float(file.mass)
+        if expected > 0.0 and not expected / _OTHER_MASS < mass < expected * _OTHER_MASS:
+            named = f"link {name}" if name.isdigit() else name
+            texts.append(f"{named} {mass:.3g} kg in place of {expected:.3g}")
+    if not texts:
+        return ()
+    return (
+        f"possible bodies: masses far from the robot's file: {', '.join(texts)}. They give the"
+        " identified torques, but motion of the joints tells combinations of masses, centres and"
+        " motor inertias only: say what is known of them with --prior (motor inertias first,"
+        " where the file has none)",
+    )
+
+
+Choice = Literal["auto", "always", "never"]
+# Bodies are used if at most one in five such gains is chance. True coefficients are those of
+# bodies, which speaks for them beforehand. Those of a KR300, which stretches of the training motion
+# preferred by 1.6 standard errors, predicted other motion a fifth better than the free fit; on no
+# recording of a real arm were they worse.
+_CHANCE = 0.2
+
+
+class JudgedPart(NamedTuple):
+    """A stretch of motion, or a recording, and the fit of all others.
+
+    - `support`: the coefficients that each joint's torque depends on.
+    - `columns`: of the part's regressor, for each joint those of its support.
+    - `torque`, `mask`: of the part.
+    - `fit`: of the others, whose coefficients need not be those of possible bodies.
+    """
+
+    support: tuple[tuple[int, ...], ...]
+    columns: HostColumns
+    torque: Float[np.ndarray, "samples joints"]
+    mask: Bool[np.ndarray, "samples joints"]
+    fit: Identification | FoldFit
+
+    @classmethod
+    def stretches(
+        cls, network: CSLC, patterns: Patterns, solver: LeastSquares, folds: int
+    ) -> tuple["JudgedPart", ...]:
+        """Stretches of equal length of one recording: those of `cross_validated_error`."""
+        fold = np.arange(patterns.samples) * folds // patterns.samples
+        columns = columns_of(network, patterns)
+        fits = solver.fits_without_folds(network, patterns, fold, columns)
+        return cls._of(network, patterns, columns, fold, fits)
+
+    @classmethod
+    def held_out(
+        cls, network: CSLC, patterns: Patterns, fit: Identification, count: int
+    ) -> tuple["JudgedPart", ...]:
+        """Stretches of equal length of motion that a fit was not made from."""
+        stretch = np.arange(patterns.samples) * count // patterns.samples
+        return cls._of(network, patterns, columns_of(network, patterns), stretch, (fit,) * count)
+
+    @classmethod
+    def _of(
+        cls,
+        network: CSLC,
+        patterns: Patterns,
+        columns: HostColumns,
+        fold: Int[np.ndarray, " samples"],
+        fits: Sequence[Identification | FoldFit],
+    ) -> tuple["JudgedPart", ...]:
+        torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
+        stretches = [slice(*np.searchsorted(fold, [i, i + 1]).tolist()) for i in range(len(fits))]
+        return tuple(
+            cls(
+                network.support,
+                tuple(of_joint[:, rows] for of_joint in columns),
+                torque[rows],
+                mask[rows],
+                fit,
+            )
+            for rows, fit in zip(stretches, fits, strict=True)
+        )
+
+    @classmethod
+    def recordings(
+        cls, network: CSLC, patterns: Mapping[str, Patterns], without: Mapping[str, Identification]
+    ) -> tuple["JudgedPart", ...]:
+        """Several recordings, and the fit without each."""
+        return tuple(
+            cls(
+                network.support,
+                columns_of(network, values),
+                np.asarray(values.torque),
+                np.asarray(values.mask),
+                without[name],
+            )
+            for name, values in patterns.items()
+        )
+
+    def errors(
+        self, k: Float[Array | np.ndarray, " coefficients"]
+    ) -> Float[np.ndarray, "samples joints"]:
+        """Compute the residual torque that coefficients leave in this part."""
+        return self.torque - torque_by(self.support, self.columns, np.asarray(k))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PossibleFit:
+    """Possible bodies beside the fit that they are nearest to, judged on motion unseen by both.
+
+    **Attributes**
+
+    - `parameters`: of the bodies.
+    - `free`: the fit, whose coefficients need not be those of possible bodies.
+    - `held_out`: errors of the bodies' coefficients on parts of the motion that were left out in
+      turn.
+    - `free_held_out`: the same of the fit's.
+    - `change`: mean over parts and joints of the logarithm of the ratio of the two errors, the
+      bodies' over the fit's; -0.1 is an error that is a tenth smaller.
+    - `change_error`: the standard error of `change`, from its spread over the parts.
+    - `used`: whether the bodies' coefficients are those of the report.
+    - `movement`: (p,) change of each coefficient in standard errors, systematic errors included;
+      zero where the motion does not determine it.
+    - `warnings`: about bodies that are far from the fit, a sentence each.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.arange(1000)[:, None] * 0.01
+    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
+    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
+    >>> recording = jc.Recording(t[:, 0], q, torque)
+    >>> report = jc.identify(network, recording, settings=jc.Settings())
+    >>> report.possible.used, report.possible.parameters.bodies[0].mass > 0
+    (False, True)
+    """
+
+    parameters: PhysicalParameters
+    free: Identification
+    held_out: HeldOut
+    free_held_out: HeldOut
+    change: float
+    change_error: float
+    used: bool
+    movement: Float[np.ndarray, " coefficients"]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def fit(self) -> Identification:
+        """The fit to use: with the bodies' coefficients, if they are used.
+
+        Standard errors are those of the free fit, as an upper bound: true coefficients are those
+        of possible bodies, a convex set, and what is nearest in it to a fit is no further from the
+        truth than the fit, measured by the fit's covariance.
+        """
+        if not self.used:
+            return self.free
+        return eqx.tree_at(lambda fit: fit.k, self.free, jnp.asarray(self.parameters.k))
+
+    @property
+    def other_coefficients(self) -> dict[str, Float[Array | np.ndarray, " coefficients"]]:
+        """The coefficients that are not used, by name: `"free"` or `"possible"`."""
+        return {"free": self.free.k} if self.used else {"possible": self.parameters.k}
+
+    def document(self) -> dict[str, Any]:
+        """Return the entries of a report's file, as plain data."""
+        links = zip(self.parameters.body_names, self.parameters.bodies, strict=True)
+        return {
+            "used": self.used,
+            "k": self.parameters.k,
+            "free_k": np.asarray(self.free.k),
+            "distance": self.parameters.distance,
+            "prior_weight": self.parameters.prior_weight,
+            "held_out": self.held_out.source,
+            "held_out_rms": self.held_out.held_out,
+            "free_held_out_rms": self.free_held_out.held_out,
+            "change": self.change,
+            "change_error": self.change_error,
+            "movement": self.movement,
+            "bodies": [
+                {
+                    "name": name,
+                    "mass": body.mass,
+                    "centre_of_gravity": body.centre_of_gravity,
+                    "inertia": body.inertia,
+                    "motor_inertia": body.motor_inertia,
+                }
+                for name, body in links
+            ],
+        }
+
+    def __str__(self) -> str:
+        return possible_text(self.document())
+
+
+def possible_text(document: Mapping[str, Any]) -> str:
+    """Return what a report says of possible bodies.
+
+    **Arguments**
+
+    - `document`: a `PossibleFit.document`.
+    """
+    rms = (np.array(document[name], float) for name in ("held_out_rms", "free_held_out_rms"))
+    ratio = ", ".join(f"{value:.3g}" for value in np.divide(*rms))
+    relative = RelativeError(document["change"], document["change_error"], 0)
+    return (
+        f"possible bodies: {document['held_out']} RMS over that of the free fit, joint by joint:"
+        f" {ratio}; on average {relative}, so {'their' if document['used'] else 'the free'}"
+        f" coefficients are used\n    {document['distance']:.3g} standard errors (root mean square)"
+        " from the free fit, by independent residuals"
+    )
+
+
+def possible_fit(
+    network: CSLC,
+    fit: Identification,
+    training: Patterns,
+    parts: Sequence[JudgedPart],
+    *,
+    source: Source = "cross-validation",
+    systematic: Callable[[], SystematicError | None] = lambda: None,
+    always: bool = False,
+    knowledge: Sequence[LinkKnowledge] = (),
+    parameters: PhysicalParameters | None = None,
+    step: Callable[[str], None] = lambda _: None,
+) -> PossibleFit:
+    """The possible bodies nearest to a fit, and whether they predict torque better than it does.
+
+    Both are judged on the same parts of the motion, each predicted by fits to the others, one with
+    and one without possible bodies. The bodies are used where the mean logarithm of the ratio of
+    their errors is below zero by more than the spread over parts explains (Student's t, one-sided,
+    20 %), and by 1 % at least.
+
+    **Arguments**
+
+    - `network`: n joints, p coefficients.
+    - `fit`: of `training`.
+    - `parts`: two or more, of which `training` consists.
+    - `source`: what the parts are.
+    - `systematic`: of the fit, asked for at the end: added to the standard errors that movements
+      are counted in.
+    - `always`: use the bodies, whatever their errors.
+    - `knowledge`: what is known of single parameters of links.
+    - `parameters`: bodies that an estimator has fitted itself; those nearest to the fit if None.
+    - `step`: is called with a few words at the start of each step.
+
+    **Returns** a `PossibleFit`.
+
+    **Raises**
+
+    - `ValueError`, `RuntimeError`, `ImportError`: as `physical_parameters`.
+    """
+    step("fitting possible bodies")
+    fixed = fixed_bodies(network.robot)
+    if parameters is None:
+        parameters = physical_parameters(
+            network, fit, fixed=fixed, patterns=training, knowledge=knowledge
+        )
+    else:
+        parameters = distances_from(fit, network, parameters, training)
+    step("judging possible bodies")
+    free_errors = [part.errors(part.fit.k) for part in parts]
+    # The weight of the whole fit's bodies, found once: searched for in each part, it would cost
+    # four times as much.
+    weight = parameters.prior_weight
+    coefficients: dict[int, np.ndarray] = {}  # several parts may be of one fit
+    for part in parts:
+        if id(part.fit) not in coefficients:
+            coefficients[id(part.fit)] = possible_coefficients(
+                network, part.fit, fixed, knowledge, weight
+            )
+    errors = [part.errors(coefficients[id(part.fit)]) for part in parts]
+    masks = [part.mask for part in parts]
+    relative = RelativeError.of(errors, free_errors, masks)
+    held_out = _held_out(network, fit, parameters.k, parts, errors, source)
+    free_held_out = _held_out(network, fit, fit.k, parts, free_errors, source)
+    shifts = systematic()
+    return PossibleFit(
+        parameters,
+        fit,
+        held_out,
+        free_held_out,
+        relative.change,
+        relative.change_error,
+        always or relative.beyond_chance(_CHANCE),
+        movement_of(fit, parameters, shifts),
+        moved_bodies(network, fit, parameters, shifts),
+    )
+
+
+def judged_bodies(
+    network: CSLC,
+    fit: Identification,
+    training: Patterns,
+    parts: Callable[[], Sequence[JudgedPart]],
+    *,
+    choice: Choice,
+    prior: Prior | None,
+    source: Source = "cross-validation",
+    systematic: Callable[[], SystematicError | None] = lambda: None,
+    parameters: PhysicalParameters | None = None,
+    step: Callable[[str], None] = lambda _: None,
+) -> tuple[PossibleFit | None, HeldOut | None, tuple[str, ...]]:
+    """Possible bodies as `identify` has them.
+
+    - `fit`: with what is known of coefficients.
+    - `parts`: as of `possible_fit`, whose fits do not know it yet.
+    - the others: as of `identify` and `possible_fit`.
+
+    **Returns**
+
+    - Them, None if they were not asked for or, with `"auto"`, could not be computed.
+    - The held-out errors of the coefficients to use; None if nothing made parts necessary.
+    - Warnings.
+
+    **Raises** as `possible_fit`, but for `"auto"`.
+    """
+    prior = prior or Prior()
+    known = prior.coefficient_values(network)
+    if choice == "never" and not known:
+        return None, None, ()
+    informed = [part._replace(fit=with_knowledge(part.fit, known)) for part in parts()]
+    always = choice == "always" or bool(prior.links)
+    warnings: tuple[str, ...] = ()
+    if choice != "never":
+        try:
+            bodies = possible_fit(
+                network,
+                fit,
+                training,
+                informed,
+                source=source,
+                systematic=systematic,
+                always=always,
+                knowledge=prior.link_values(network.robot),
+                parameters=parameters,
+                step=step,
+            )
+        except (ValueError, RuntimeError, MissingExtraError) as error:
+            if always:
+                raise
+            warnings = (f"possible bodies were not computed: {error}",)
+        else:
+            held_out = bodies.held_out if bodies.used else bodies.free_held_out
+            return bodies, held_out, bodies.warnings
+    errors = [part.errors(part.fit.k) for part in informed]
+    return None, _held_out(network, fit, fit.k, informed, errors, source), warnings
+
+
+def _held_out(
+    network: CSLC,
+    fit: Identification,
+    k: Float[Array | np.ndarray, " coefficients"],
+    parts: Sequence[JudgedPart],
+    errors: Sequence[np.ndarray],
+    source: Source,
+) -> HeldOut:
+    """Compute held-out errors of coefficients `k`, from errors of fits without each part.
+
+    Training errors are those of `k` on all parts.
+    """
+    mask = np.concatenate([part.mask for part in parts])
+    training = np.concatenate([part.errors(k) for part in parts])
+    judged = judged_errors(training, mask, np.concatenate(errors), mask, int(fit.rank))
+    return dataclasses.replace(
+        judged, source=source, units=network.output_units, names=network.output_names
+    )

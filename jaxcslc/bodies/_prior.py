@@ -1,0 +1,365 @@
+"""Prior knowledge of coefficients and links: TOML files, and fits that take it into account."""
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, overload
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import scipy
+from jaxtyping import Float, Int
+
+from .._rank import null_vectors, pseudo_inverse
+from .._toml_document import toml_document
+from ..least_squares import RESULTS, FoldFit, Identification
+from ..manipulator import Manipulator
+from ..network import AbstractLinearNetwork
+from ._link_knowledge import KNOWN_PARAMETERS, Known, LinkKnowledge
+
+
+@dataclasses.dataclass(frozen=True)
+class Prior:
+    """Knowledge of a robot before it is identified: of coefficients, and of its links.
+
+    **Attributes**
+
+    - `coefficients`: `Known` values by the names that the network gives them.
+    - `links`: by link, `Known` values of `mass` [kg], of the centre of gravity `rx`, `ry`, `rz` [m]
+      and of `motor_inertia` [kg m² or kg]. A link is named by its body or joint in the robot's
+      file, or by its number from 1. Centres are in the frames of the file's bodies, which are
+      meant without what the file fixes to them.
+
+    What is known of links changes possible bodies, not the free fit: a coefficient is a combination
+    of many links' parameters.
+
+    **Raises**
+
+    - `ValueError`: a parameter of a link that is none of these.
+
+    >>> import jaxcslc as jc
+    >>> from jaxcslc.bodies import Known, Prior
+    >>> prior = Prior({"kv1": Known(2.0, 0.1)}, {"3": {"mass": Known(low=1.0, high=4.0)}})
+    >>> print(prior)
+    kv1 2 ± 0.1; link 3: mass from 1 to 4
+    """
+
+    coefficients: Mapping[str, Known] = dataclasses.field(default_factory=dict[str, Known])
+    links: Mapping[str, Mapping[str, Known]] = dataclasses.field(
+        default_factory=dict[str, Mapping[str, Known]]
+    )
+
+    def __post_init__(self) -> None:
+        for link, parameters in self.links.items():
+            for name in parameters:
+                if name not in KNOWN_PARAMETERS:
+                    raise ValueError(
+                        f"prior, links, {link}: unknown parameter {name!r}; expected some of"
+                        f" {', '.join(KNOWN_PARAMETERS)}"
+                    )
+
+    def coefficient_values(self, network: AbstractLinearNetwork) -> dict[int, Known]:
+        """Return the knowledge of coefficients, by index.
+
+        **Raises**
+
+        - `ValueError`: a name that no coefficient has.
+        """
+        for name in self.coefficients:
+            if name not in network.names:
+                raise ValueError(
+                    f"prior, coefficients: {name!r} is none of {network.name!r}'s; expected some of"
+                    f" {network.names[0]} to {network.names[-1]} (jaxcslc derive lists them)"
+                )
+        return {network.names.index(name): known for name, known in self.coefficients.items()}
+
+    def link_values(self, robot: Manipulator) -> tuple[LinkKnowledge, ...]:
+        """Return the knowledge of links, in the order of the joints.
+
+        **Raises**
+
+        - `ValueError`: a name that no link has, or a motor inertia of a joint that has none.
+        """
+        bodies = robot.source.links if robot.source is not None else ()
+        entries: list[LinkKnowledge] = []
+        for name, parameters in self.links.items():
+            candidates = [
+                index
+                for index in range(robot.joint_count)
+                if name == str(index + 1)
+                or (index < len(bodies) and name == bodies[index])
+                or name == robot.joint_names[index]
+            ]
+            if len(candidates) != 1:
+                names = bodies or robot.joint_names
+                raise ValueError(
+                    f"prior, links: {name!r} names {len(candidates) or 'no'} link"
+                    f"{'s' if candidates else ''} of {robot.name!r}; expected one of"
+                    f" {', '.join(names)}, or a number from 1 to {robot.joint_count}"
+                )
+            for parameter, known in parameters.items():
+                if parameter == "motor_inertia" and not robot.inertia[candidates[0]].motor:
+                    raise ValueError(
+                        f"prior, links, {name}: motor_inertia is known, and {robot.name!r} has none"
+                        " at this joint"
+                    )
+                entries.append(LinkKnowledge(candidates[0], parameter, known))
+        return tuple(entries)
+
+    def document(self) -> dict[str, Any]:
+        """Return the knowledge as plain data, as `load_prior` reads it."""
+        return {
+            "coefficients": {name: known.document() for name, known in self.coefficients.items()},
+            "links": {
+                link: {name: known.document() for name, known in parameters.items()}
+                for link, parameters in self.links.items()
+            },
+        }
+
+    def __str__(self) -> str:
+        return "; ".join(self._parts()) or "nothing"
+
+    def _parts(self) -> Iterator[str]:
+        if self.coefficients:
+            yield ", ".join(f"{name} {known}" for name, known in self.coefficients.items())
+        for link, parameters in self.links.items():
+            listed = ", ".join(f"{name} {known}" for name, known in parameters.items())
+            yield f"{'link ' if link.isdigit() else ''}{link}: {listed}"
+
+
+def load_prior(path: str | Path) -> Prior:
+    """Read what is known before an identification from a TOML file.
+
+    Tables `[coefficients]` and `[links.NAME]`, see `Prior`. An entry is a number, which is fixed;
+    or `{ value = 2.4, error = 0.1 }`, a value and its standard error; or `{ low = 0, high = 3 }`,
+    either of which may be left out; or all of them.
+
+    **Arguments**
+
+    - `path`: of the file.
+
+    **Returns** a `Prior`.
+
+    **Raises**
+
+    - `ValueError`: the file holds something else; the message names file and entry.
+
+    >>> import tempfile
+    >>> from jaxcslc.bodies import load_prior
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "priors.toml"
+    ...     _ = path.write_text("[links.3]\\nmass = { value = 2.4, error = 0.1 }\\n")
+    ...     print(load_prior(path))
+    link 3: mass 2.4 ± 0.1
+    """
+    path = Path(path)
+    return prior_from(toml_document(path, "file of priors", ValueError), str(path))
+
+
+def prior_from(document: Mapping[str, Any], where: str) -> Prior:
+    """Return what is known before, from tables as `Prior.document` returns them.
+
+    **Arguments**
+
+    - `document`: with entries `coefficients` and `links`, either of which may be missing.
+    - `where`: they were read, for messages.
+
+    **Raises**
+
+    - `ValueError`: they hold something else; the message names the entry.
+    """
+    if unknown := sorted(document.keys() - {"coefficients", "links"}):
+        raise ValueError(f"{where}: unknown entry {unknown[0]!r}; expected coefficients or links")
+    coefficients = _known_values(document.get("coefficients", {}), f"{where}, coefficients")
+    tables = _table(document.get("links", {}), f"{where}, links")
+    links = {
+        name: _known_values(values, f"{where}, links, {name}") for name, values in tables.items()
+    }
+    try:
+        return Prior(coefficients, links)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def _known_values(values: Any, where: str) -> dict[str, Known]:
+    return {
+        name: _known(value, f"{where}, {name}") for name, value in _table(values, where).items()
+    }
+
+
+def _table(value: Any, where: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise ValueError(f"{where}: expected a table, got {value!r}")
+    return value
+
+
+def _known(value: Any, where: str) -> Known:
+    entries = value if isinstance(value, dict) else {"value": value}
+    if unknown := sorted(entries.keys() - {"value", "error", "low", "high"}):
+        raise ValueError(f"{where}: unknown entry {unknown[0]!r}; expected value, error, low, high")
+    for name, number in entries.items():
+        usable = isinstance(number, int | float) and not isinstance(number, bool)
+        if not usable or not abs(number) < math.inf:
+            raise ValueError(f"{where}: {name}: expected a finite number, got {number!r}")
+    try:
+        return Known(**{name: float(number) for name, number in entries.items()})
+    except (OverflowError, ValueError) as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+# A coefficient that shares this part of a unit null vector is not determined by itself.
+_SHARE = 1e-6
+# Singular values below this part of the largest are rounding of the fit's covariance.
+_SMALLEST = 1e-9
+# Standard errors are taken as no less than this part of their coefficient.
+_FINEST = 1e-6
+
+
+@overload
+def with_knowledge(fit: Identification, known: Mapping[int, Known]) -> Identification: ...
+@overload
+def with_knowledge(fit: FoldFit, known: Mapping[int, Known]) -> FoldFit: ...
+def with_knowledge(
+    fit: Identification | FoldFit, known: Mapping[int, Known]
+) -> Identification | FoldFit:
+    """A fit to which is added what was known of its coefficients before.
+
+    Least squares with a row more for each value, in units of its error. The equations of the
+    recording enter by the fit and its covariance for independent errors, which say of them all that
+    least squares need to know. So the new coefficients minimise
+
+        (k - k₀)ᵀ C⁻¹ (k - k₀) + Σ ((kᵢ - valueᵢ) / errorᵢ)²
+
+    where k₀ and C are the fit's, C⁻¹ on the combinations that it determines; fixed coefficients
+    have their values, and bounds hold. Where nothing determines a combination, the change of the
+    fit is the least one, coefficients in units of their size. Standard errors follow what the fit's
+    errors and those of the values do to the result; at bounds that are reached they are those
+    without bounds.
+
+    **Arguments**
+
+    - `fit`: an `Identification` or a fit without a fold.
+    - `known`: by index of a coefficient.
+
+    **Returns** a fit of the same kind.
+    """
+    if not known:
+        return fit
+    k = np.asarray(fit.k, float)
+    fixed = np.array([i for i, entry in known.items() if entry.fixed], int)
+    free = np.setdiff1d(np.arange(len(k)), fixed)
+    values = np.array([known[i].value for i in fixed], float)
+    white = information_rows(fit, k)
+    soft = [(i, entry) for i, entry in known.items() if entry.error > 0.0]
+    rows = np.zeros((len(soft), len(k)))
+    target = np.zeros(len(soft))
+    for row, (i, entry) in enumerate(soft):
+        rows[row, i] = 1.0 / entry.error
+        target[row] = float(entry.value or 0.0) / entry.error
+    start = k.copy()
+    start[fixed] = values
+    matrix = np.concatenate([white, rows])
+    missing = np.concatenate([white @ (k - start), target - rows @ start])
+    inverse = pseudo_inverse(matrix[:, free], _SMALLEST)
+    null = null_vectors(matrix[:, free], _SMALLEST)
+    change = inverse @ missing
+    start[free] += change
+    start = _within_bounds(start, matrix, missing, free, known, change)
+
+    # What errors of the fit and of the values do to the coefficients that are not fixed.
+    of_white, of_values = np.split(inverse, [len(white)], axis=1)
+    follow = np.zeros((len(free), len(k)))
+    follow[:, free] = np.eye(len(free)) - of_values @ rows[:, free]
+    follow[:, fixed] = of_white @ white[:, fixed]
+
+    def covariance_of(covariance: Any) -> Float[np.ndarray, "coefficients coefficients"]:
+        whole = np.zeros((len(k), len(k)))
+        part = follow @ np.asarray(covariance) @ follow.T + of_values @ of_values.T
+        whole[np.ix_(free, free)] = part
+        return whole
+
+    undetermined = np.zeros((len(k), len(k)))
+    undetermined[np.ix_(np.arange(len(null)), free)] = null
+    if isinstance(fit, FoldFit):
+        return FoldFit(start, covariance_of(fit.covariance), undetermined)
+    scale = np.linalg.norm(matrix, axis=0)
+    shares = undetermined * np.where(scale > 0, scale, 1.0)
+    lengths = np.linalg.norm(shares, axis=1, keepdims=True)
+    shares = shares / np.where(lengths > 0, lengths, 1.0)
+    determined = np.sqrt(np.sum(shares**2, axis=0)) < _SHARE
+    covariance = covariance_of(fit.covariance)
+    error = np.where(determined, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.inf)
+    deficient = RESULTS.rank_deficient if len(null) else RESULTS.successful
+    rank = len(free) - len(null)
+    changed = (
+        *(start, error, covariance, covariance_of(fit.independent_covariance)),
+        *(undetermined, determined, np.asarray(rank), deficient),
+    )
+    return eqx.tree_at(
+        lambda f: (
+            *(f.k, f.standard_error, f.covariance, f.independent_covariance),
+            *(f.undetermined, f.determined, f.rank, f.result),
+        ),
+        fit,
+        tuple(jnp.asarray(x) if isinstance(x, np.ndarray) else x for x in changed),
+        is_leaf=lambda x: x is fit.result,
+    )
+
+
+def information_rows(
+    fit: Identification | FoldFit, k: Float[np.ndarray, " coefficients"]
+) -> Float[np.ndarray, "rank coefficients"]:
+    """Rows whose product with a change of the coefficients is that of the fit's equations, up to a
+    rotation, in units of the residual.
+
+    **Arguments**
+
+    - `fit`: an `Identification` or a fit without a fold; `k`: (p,) its coefficients.
+
+    A change is one within the covariance's range and one that the fit leaves open. The former
+    counts by the inverse of the covariance, the latter not at all. Neither rank is guessed.
+    """
+    independent = fit.independent_covariance if isinstance(fit, Identification) else fit.covariance
+    covariance, open_rows = np.asarray(independent, float), np.asarray(fit.undetermined, float)
+    open_rows = open_rows[np.linalg.norm(open_rows, axis=1) > 0.0]
+    rank = len(k) - len(open_rows)
+    error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    # Of coefficients that nothing depends on, values and errors are rounding.
+    rounding = error + np.abs(k) < _SMALLEST * np.max(error + np.abs(k), initial=0.0)
+    units = np.where(rounding, 1.0, error + _FINEST * np.abs(k))
+    scaled = covariance / np.outer(units, units)
+    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2 + _FINEST**2 * np.eye(len(k)))
+    basis = np.linalg.qr((open_rows / units).T)[0] if len(open_rows) else np.zeros((len(k), 0))
+    parts = np.linalg.inv(np.concatenate([vectors[:, len(k) - rank :], basis], axis=1))
+    rows = parts[:rank] / np.sqrt(values[len(k) - rank :])[:, None]
+    return np.where(rounding, 0.0, rows / units)
+
+
+def _within_bounds(
+    k: Float[np.ndarray, " coefficients"],
+    matrix: Float[np.ndarray, "rows coefficients"],
+    missing: Float[np.ndarray, " rows"],
+    free: Int[np.ndarray, " free"],
+    known: Mapping[int, Known],
+    change: Float[np.ndarray, " free"],
+) -> Float[np.ndarray, " coefficients"]:
+    """The minimum within bounds, if that without them is not."""
+    low, high = np.full(len(k), -np.inf), np.full(len(k), np.inf)
+    for i, entry in known.items():
+        low[i], high[i] = entry.low, entry.high
+    if np.all((k >= low) & (k <= high)):
+        return k
+    before = k[free] - change
+    scale = np.linalg.norm(matrix[:, free], axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    solution = scipy.optimize.lsq_linear(
+        matrix[:, free] / scale,
+        missing,
+        ((low[free] - before) * scale, (high[free] - before) * scale),
+        method="bvls",
+    )
+    k = k.copy()
+    k[free] = np.clip(before + solution.x / scale, low[free], high[free])
+    return k

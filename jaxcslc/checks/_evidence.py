@@ -1,0 +1,344 @@
+"""Low-passed part of a recording on which hypotheses about its columns are scored."""
+
+import dataclasses
+from collections.abc import Sequence
+from functools import cached_property
+from operator import itemgetter
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ..least_squares import (
+    Equations,
+    HostColumns,
+    Identification,
+    LeastSquares,
+    Unknowns,
+    columns_of,
+    equations_of,
+    torque_by,
+    torque_of,
+)
+from ..network import CSLC
+from ..recordings import (
+    Butterworth,
+    Patterns,
+    Preparation,
+    Recording,
+    joined_patterns,
+    noise_level,
+    resample,
+    uniform_interval,
+)
+
+
+# A joint follows the file's torque well from this part of the variance on.
+WELL = 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class PriorFit:
+    """Fit of recorded torques by those of the masses in the robot's file.
+
+    Joint by joint, torque is a factor times the file's torque, plus friction and an offset.
+
+    **Attributes**
+
+    - `factor`: (n,) of each joint; 1 where file and recording agree.
+    - `explained`: (n,) part of the variance that friction leaves and the file's torque explains.
+    - `size`: (n,) root mean square of the file's torque, over that of the recorded torque.
+    """
+
+    factor: Float[np.ndarray, " joints"]
+    explained: Float[np.ndarray, " joints"]
+    size: Float[np.ndarray, " joints"]
+
+    @property
+    def common_factor(self) -> float:
+        """Median factor of the joints that the file's torque explains well; NaN without any."""
+        well = self.explained > WELL
+        return float(np.median(self.factor[well])) if well.any() else np.nan
+
+    @property
+    def factors(self) -> Float[np.ndarray, " joints"]:
+        """(n,) factors of the joints that the file's torque explains well, the common one of
+        the others."""
+        return np.where(self.explained > WELL, self.factor, self.common_factor)
+
+
+def prior_fit(network: CSLC, patterns: Patterns, columns: HostColumns) -> PriorFit | None:
+    """Compares recorded torque with that of the file's masses; None if the file has none.
+
+    **Arguments**
+
+    - `network`: n joints.
+    - `patterns`: of n joints.
+    - `columns`: of the regressor of their motion.
+    """
+    robot = network.robot
+    if robot.links is None or not any(float(link.mass) for link in robot.links):
+        return None
+    k = np.asarray(network.coefficients_from(robot.links))
+    expected = torque_by(network.support, columns, k)
+    qd, mask = np.asarray(patterns.qd), np.asarray(patterns.mask)
+    terms = np.stack([expected, qd, np.sign(qd), np.ones_like(qd)], axis=0)
+    with_file, factor = _errors(patterns, terms, mask)
+    without_file, _ = _errors(patterns, terms[1:], mask)
+    counts = np.maximum(mask.sum(axis=0), 1)
+    sizes = [
+        np.sqrt(np.where(mask, values**2, 0.0).sum(axis=0) / counts)
+        for values in (expected, np.asarray(patterns.torque))
+    ]
+    # Of a torque that was not recorded nothing is left to explain, and nothing is explained.
+    recorded = without_file > 0.0
+    explained = (
+        1.0 - (np.where(recorded, with_file, 1.0) / np.where(recorded, without_file, 1.0)) ** 2
+    )
+    return PriorFit(factor, explained, sizes[0] / np.maximum(sizes[1], 1e-300))
+
+
+def _errors(
+    patterns: Patterns, terms: Float[np.ndarray, "terms samples joints"], mask: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Root mean square errors of joints with coefficients of their own, and the first of these."""
+    count, samples, joints = terms.shape
+    unknowns = Unknowns(
+        tuple(f"{joint} {term}" for joint in range(joints) for term in range(count)),
+        tuple(tuple(range(joint * count, (joint + 1) * count)) for joint in range(joints)),
+    )
+    equations = Equations.of_columns(
+        unknowns,
+        tuple(np.moveaxis(terms, -1, 0)),
+        np.asarray(patterns.torque),
+        mask,
+        time=np.asarray(patterns.time),
+        cutoff=None,
+    )
+    solver = LeastSquares(errors="independent", joint_weights="equal")
+    fit = solver.fit_equations(equations, samples, throw=False)
+    return np.asarray(fit.torque_error), np.asarray(fit.k)[::count]
+
+
+# A window of more samples tells no more about what is wrong.
+_MOST_SAMPLES = 40_000
+# As many rows share one compiled regressor.
+_MOST_ROWS = 4096
+_FOLDS = 5
+# After so many periods of its cut-off, a thousandth is left of what a filter has seen.
+_FADED = 3.0
+# What noise may be of the accelerations' root mean square.
+_NOISE_PART = 0.1
+_LOWEST, _HIGHEST = 3.0, 12.0  # [Hz]
+_SOLVER = LeastSquares(errors="independent")
+
+
+@dataclasses.dataclass(frozen=True)
+class Evidence:
+    """Low-passed part of a recording that shows whether its motion and its torque belong together.
+
+    Positions and torques pass one low pass, which delays neither and leaves its noise in neither,
+    and are thinned out to what is left of them.
+
+    **Attributes**
+
+    - `network`: n joints.
+    - `recording`: the part of it that is looked at, at even times.
+    - `valid`: False for samples of a joint that are no measurements of it.
+    - `patterns`: low-passed and thinned out.
+    - `torque`: of all samples, low-passed, from `time[0]` on [N m or N].
+    - `time`: of all samples [s].
+    - `cutoff`: of the low pass [Hz].
+    """
+
+    network: CSLC
+    recording: Recording
+    valid: Bool[np.ndarray, "samples joints"]
+    patterns: Patterns
+    time: Float[np.ndarray, " inner"]
+    torque: Float[np.ndarray, "inner joints"]
+    cutoff: float
+
+    @classmethod
+    def of(
+        cls,
+        network: CSLC,
+        recording: Recording,
+        valid: Bool[np.ndarray, "samples joints"] | None = None,
+    ) -> "Evidence":
+        """The evidence of a recording.
+
+        - `valid`: False for samples of a joint that are no measurements of it.
+        """
+        valid = np.ones(recording.position.shape, bool) if valid is None else valid
+        recording, valid = _window(recording, valid)
+        # From zero on: a tenth of a microsecond is lost in seconds since 1970.
+        recording = dataclasses.replace(recording, time=recording.time - recording.time[0])
+        recording, valid = _uniform(recording, valid)
+        interval = float(np.median(np.diff(recording.time)))
+        cutoff = _cutoff(recording, interval)
+        preparation = Preparation(Butterworth(cutoff), smooth_torque=True, threshold_fraction=0.1)
+        patterns = preparation.patterns(recording)
+        # A motion that does not begin and end at rest leaves errors of filters at both ends.
+        ends = min(int(np.ceil(_FADED / (cutoff * interval))), recording.samples // 10)
+        valid = valid.copy()
+        valid[:ends] = valid[recording.samples - ends :] = False
+        reach = int(np.ceil(0.5 / (cutoff * interval)))
+        clear = _far_from_invalid(valid, reach)
+        trim = preparation.trimmed(recording)
+        inside = slice(trim, recording.samples - trim)
+        step = max(1, round(0.2 / (cutoff * interval)), int(np.ceil(patterns.samples / _MOST_ROWS)))
+        thinned = slice(None, None, step)
+        return cls(
+            network,
+            recording,
+            valid,
+            Patterns(
+                patterns.time[thinned],
+                patterns.q[thinned],
+                patterns.qd[thinned],
+                patterns.qdd[thinned],
+                patterns.torque[thinned],
+                clear[inside][thinned],
+                np.asarray(patterns.friction_mask)[thinned],
+            ),
+            recording.time[inside],
+            np.asarray(patterns.torque),
+            cutoff,
+        )
+
+    @cached_property
+    def fit(self) -> Identification:
+        """The fit to all patterns."""
+        equations = equations_of(self.network, self.patterns, None, self._columns)
+        return _SOLVER.fit_equations(equations, self.patterns.samples, throw=False)
+
+    @cached_property
+    def prior(self) -> PriorFit | None:
+        """Fit of the patterns' torques by those of the robot's file, if that has masses."""
+        return prior_fit(self.network, self.patterns, self._columns)
+
+    @cached_property
+    def gravity(self) -> Float[np.ndarray, "samples joints"]:
+        """Torque at rest by the fit, at the positions of the patterns [N m or N]."""
+        still = np.zeros_like(np.asarray(self.patterns.q))
+        at_rest = dataclasses.replace(self.patterns, qd=still, qdd=still)
+        return torque_of(self.network, at_rest, np.asarray(self.fit.k))
+
+    def columns(self, patterns: Patterns) -> HostColumns:
+        """The regressor's columns of patterns, those of the evidence or others."""
+        return self._columns if patterns is self.patterns else columns_of(self.network, patterns)
+
+    @cached_property
+    def _columns(self) -> HostColumns:
+        return columns_of(self.network, self.patterns)
+
+    def coefficients(
+        self, patterns: Patterns, columns: HostColumns
+    ) -> Float[np.ndarray, " coefficients"]:
+        """The coefficients fitted to patterns, as those of `fit`."""
+        if patterns is self.patterns:
+            return np.asarray(self.fit.k)
+        return _SOLVER.coefficients(equations_of(self.network, patterns, None, columns))
+
+    @cached_property
+    def relative_errors(self) -> Float[np.ndarray, " joints"]:
+        """`errors` of the patterns as they are."""
+        return self.errors(self.patterns, self._columns)
+
+    def errors(
+        self,
+        patterns: Patterns,
+        columns: HostColumns | None = None,
+    ) -> Float[np.ndarray, " joints"]:
+        """Held-out error of each joint as part of its torque's root mean square.
+
+        - `columns`: of the patterns' motion, if they are known already.
+        """
+        mask = np.asarray(patterns.mask)
+        fold = np.arange(patterns.samples) * _FOLDS // patterns.samples
+        error = _SOLVER.held_out_errors(self.network, patterns, fold, columns)
+        squares = np.where(mask, error**2, 0.0).sum(axis=0)
+        size = np.where(mask, np.asarray(patterns.torque) ** 2, 0.0).sum(axis=0)
+        return np.sqrt(squares / np.where(size > 0, size, 1.0))
+
+    def quick_scores(self, patterns: Sequence[Patterns]) -> list[float]:
+        """Compute the `score` of every third row of each, to sort out hypotheses.
+
+        The columns of as many at once as fit into the rows that a compiled function has anyway
+        take a third of the time of one after the other.
+        """
+        third = [jax.tree.map(itemgetter(slice(None, None, 3)), some) for some in patterns]
+        scores: list[float] = []
+        while third:
+            count = max(1, _MOST_ROWS // third[0].samples)
+            batch, third = third[:count], third[count:]
+            columns = columns_of(self.network, joined_patterns(batch))
+            pieces = zip(*(np.split(rows, len(batch), axis=1) for rows in columns), strict=True)
+            scores += [self.score(*pair) for pair in zip(batch, pieces, strict=True)]
+        return scores
+
+    def score(
+        self,
+        patterns: Patterns,
+        columns: HostColumns | None = None,
+    ) -> float:
+        """Mean logarithm of these errors: the smaller, the better the patterns belong together."""
+        errors = (
+            self.relative_errors if patterns is self.patterns else self.errors(patterns, columns)
+        )
+        return float(np.mean(np.log(np.clip(errors, 1e-6, 10.0))))
+
+
+def _far_from_invalid(
+    valid: Bool[np.ndarray, "samples joints"], reach: int
+) -> Bool[np.ndarray, "samples joints"]:
+    """True where all samples up to `reach` before and behind are valid."""
+    passed = np.concatenate([np.zeros((1, valid.shape[1]), int), np.cumsum(~valid, axis=0)])
+    sample = np.arange(len(valid))
+    before, behind = np.maximum(sample - reach, 0), np.minimum(sample + reach + 1, len(valid))
+    return passed[behind] == passed[before]
+
+
+def _window(
+    recording: Recording, valid: Bool[np.ndarray, "samples joints"]
+) -> tuple[Recording, Bool[np.ndarray, "remaining joints"]]:
+    samples = recording.samples
+    if samples <= _MOST_SAMPLES:
+        return recording, valid
+    # The stretch with the most motion.
+    change = np.abs(np.diff(recording.position, axis=0, prepend=recording.position[:1]))
+    change = (change / np.maximum(np.ptp(recording.position, axis=0), 1e-12)).sum(axis=1)
+    total = np.concatenate([[0.0], np.cumsum(change)])
+    start = int(np.argmax(total[_MOST_SAMPLES:] - total[:-_MOST_SAMPLES]))
+    part = slice(start, start + _MOST_SAMPLES)
+    return recording.rows(part), valid[part]
+
+
+def _uniform(
+    recording: Recording, valid: Bool[np.ndarray, "samples joints"]
+) -> tuple[Recording, Bool[np.ndarray, "remaining joints"]]:
+    try:
+        uniform_interval(recording.time)
+        return recording, valid
+    except ValueError:
+        pass
+    interval = float(np.median(np.diff(recording.time)))
+    uniform = resample(recording, interval)
+    nearest = np.clip(np.searchsorted(recording.time, uniform.time), 1, recording.samples - 1)
+    before, after = recording.time[nearest - 1], recording.time[nearest]
+    near = (after - before) < 5.0 * interval
+    return uniform, valid[nearest] & valid[nearest - 1] & near[:, None]
+
+
+def _cutoff(recording: Recording, interval: float) -> float:
+    noise = noise_level(recording.position)
+    highest = min(_HIGHEST, 0.2 / interval)
+    for cutoff in np.geomspace(highest, min(_LOWEST, highest), 6):
+        _, _, qdd = Butterworth(float(cutoff)).smooth(recording.time, recording.position)
+        # White noise of positions, low-passed and differentiated twice.
+        omega = 2.0 * np.pi * cutoff
+        acceleration = noise * omega**2 * np.sqrt(2.0 * cutoff * interval / 5.0)
+        if np.median(acceleration / np.maximum(np.std(qdd, axis=0), 1e-300)) < _NOISE_PART:
+            return float(cutoff)
+    return float(min(_LOWEST, highest))

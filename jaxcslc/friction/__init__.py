@@ -1,0 +1,44 @@
+"""Friction that is not linear in its parameters: slopes, load, and pre-sliding.
+
+In: a network with friction terms, and patterns. Out: fits with the nonlinear parameters.
+
+- `_slopes`: slopes of static friction.
+- `_load`: friction that grows with the load; uses `_slopes`.
+- `_yielding_friction`: states of pre-sliding (Dahl) friction along a motion.
+- `_pre_sliding`, `_saved_pre_sliding`: lengths of pre-sliding, fitted and saved.
+"""
+
+from ._load import LoadFit as LoadFit, fit_load as fit_load, linearised as linearised
+from ._pre_sliding import (
+    PreSlidingFit as PreSlidingFit,
+    fit_pre_sliding as fit_pre_sliding,
+    yielding_motion as yielding_motion,
+)
+from ._regression import regress_friction as regress_friction
+from ._saved_pre_sliding import (
+    pre_sliding_document as pre_sliding_document,
+    pre_sliding_from as pre_sliding_from,
+)
+from ._slopes import SlopeFit as SlopeFit, fit_slopes as fit_slopes
+from ._yielding_friction import (
+    along_motion as along_motion,
+    checked_lengths as checked_lengths,
+    dry_term as dry_term,
+    has_states as has_states,
+    pre_sliding as pre_sliding,
+    split_friction as split_friction,
+    state_after as state_after,
+    state_at as state_at,
+)
+
+
+__all__ = [
+    "LoadFit",
+    "PreSlidingFit",
+    "SlopeFit",
+    "fit_load",
+    "fit_pre_sliding",
+    "fit_slopes",
+    "pre_sliding",
+    "regress_friction",
+]

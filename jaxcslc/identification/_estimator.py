@@ -1,0 +1,207 @@
+"""What an estimator is: an object that turns a problem into coefficients and declares its limits.
+
+A new estimator is a file beside this one with a subclass of `AbstractEstimator`, and its line in
+`ESTIMATORS` (`__init__.py`). `fit` is enough: by default its fit is judged on the last part of each
+recording, predicted by a fit to what is before it, or on the validation recording.
+"""
+
+import abc
+import contextlib
+import dataclasses
+from collections.abc import Callable, Generator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..bodies import PossibleFit, with_knowledge
+from ..friction import PreSlidingFit, SlopeFit, along_motion
+from ..least_squares import Identification, Settings, torque_of
+from ..likelihood import EstimatorComparison, LikelihoodFit, Misfit
+from ..network import CSLC
+from ..recordings import Patterns, Recording
+from ..uncertainty import HeldOut, SeveralFit, Source, SystematicError, held_out_from, judged_errors
+from ._exclusions import Request
+from ._problem import PreparedRecording, Problem, joined
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fit:
+    """Coefficients of an estimator.
+
+    - `network`: that they are of, with slopes of static friction.
+    - `identification`: their values and covariance, without what is known beforehand.
+    - `lengths`: (n,) of pre-sliding [rad or m]; 0 where dry friction follows the sign of velocity.
+    - `source`: what the estimator says beyond that, as its own kind of result.
+    - `warnings`, `notes`: one sentence each.
+    """
+
+    network: CSLC
+    identification: Identification
+    lengths: Float[np.ndarray, " joints"]
+    source: SeveralFit | LikelihoodFit | None = None
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def k(self) -> Float[Array, " coefficients"]:
+        """The coefficients, (p,)."""
+        return self.identification.k
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Judged:
+    """A fit, and how it predicts motion that was not fitted.
+
+    - `problem`: whose patterns and settings the errors are of.
+    - `fit`: with the coefficients to report: what is known beforehand and possible bodies included.
+    - `held_out`: errors on motion that was not fitted; None where nothing was judged.
+    - `bodies`: possible ones beside the fit; None if they were not computed.
+    - `systematic`: errors that no residual shows; None if they were not computed.
+    - `slopes`: of static friction; None without it.
+    - `several`: of several recordings, what least squares say of each.
+    - `vectors`: other coefficients whose errors are reported, by name.
+    - `comparison`: with other estimators; None without any.
+    - `pre_sliding`: dry friction with states, beside the fit or of it.
+    - `warnings`: about what was fitted; `consequences`: about errors and bodies.
+    """
+
+    problem: Problem
+    fit: Fit
+    held_out: HeldOut | None
+    bodies: PossibleFit | None = None
+    systematic: SystematicError | None = None
+    slopes: SlopeFit | None = None
+    several: SeveralFit | None = None
+    vectors: Mapping[str, Float[Array | np.ndarray, " coefficients"]] = dataclasses.field(
+        default_factory=dict
+    )
+    comparison: EstimatorComparison | None = None
+    pre_sliding: PreSlidingFit | None = None
+    warnings: tuple[str, ...] = ()
+    consequences: tuple[str, ...] = ()
+
+
+Begin = Callable[[Settings], Callable[[], Any]]
+"""Begins with fits in another process, by settings of the longest recording; what it returns waits
+for them."""
+
+
+class AbstractEstimator(abc.ABC):
+    """From a problem to coefficients.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.identification import ESTIMATORS
+    >>> sorted(ESTIMATORS["instrumental-variables"].supports)
+    []
+    """
+
+    @property
+    @abc.abstractmethod
+    def supports(self) -> frozenset[str]:
+        """Features (`FEATURES`) that it can be combined with; without those of all estimators."""
+
+    @abc.abstractmethod
+    def fit(self, problem: Problem) -> Fit:
+        """Fit coefficients to the training recordings of a problem.
+
+        **Raises** `ValueError`, `RuntimeError`: recordings that it cannot be fitted to.
+        """
+
+    def misfit(self, problem: Problem, fit: Fit, recordings: Sequence[Recording]) -> Misfit:
+        """Return how well a fit agrees with recordings, which it may not have seen.
+
+        Torque errors of smoothed motion, over the RMS residuals of the fit.
+
+        - `recordings`: with torques as recorded.
+        """
+        patterns = joined([problem.settings.patterns(recording) for recording in recordings])
+        torque = residual(fit, patterns)
+        level = np.asarray(fit.identification.torque_error)
+        return Misfit(torque / level, torque, np.asarray(patterns.mask))
+
+    def judged(self, problem: Problem) -> Judged:
+        """Fit a problem, and judge the fit on motion that it has not seen.
+
+        That is the validation recording or, without one, the last part of each training recording.
+        """
+        fit = self.fit(problem)
+        informed = with_knowledge(fit.identification, problem.known)
+        informed = dataclasses.replace(fit, identification=informed)
+        if problem.validation is None:
+            problem.step("judging the fit")
+            held_out = self._held_out(problem, informed)
+        else:
+            held_out = held_out_of(problem, informed)
+        problem.step("computing errors")
+        return Judged(
+            problem,
+            informed,
+            held_out,
+            warnings=problem.warnings,
+            consequences=fit.warnings,
+        )
+
+    def _held_out(self, problem: Problem, fit: Fit) -> HeldOut:
+        """Errors on the last part of each training recording, of a fit to what is before it."""
+        earlier, late = split_recordings(problem)
+        known = with_knowledge(self.fit(earlier).identification, problem.known)
+        unseen = residual(dataclasses.replace(fit, identification=known), late)
+        return held_out_of(problem, fit, "held-out stretch", unseen, np.asarray(late.mask))
+
+    @contextlib.contextmanager
+    def beside(self, request: Request) -> Generator[Begin | None]:
+        """Give fits that need nothing but settings to another process; None where none do.
+
+        Entered before other work of this process begins.
+        """
+        del request
+        yield None
+
+
+def split_recordings(problem: Problem) -> tuple[Problem, Patterns]:
+    """Return a problem of what is before the last part of each recording, and those last parts."""
+    earlier: dict[str, PreparedRecording] = {}
+    late: list[Patterns] = []
+    for name, prepared in problem.recordings.items():
+        recording, split = prepared.recording, held_out_from(prepared.recording)
+        before = recording.between(0.0, split - float(recording.time[0]))
+        earlier[name] = dataclasses.replace(prepared, recording=before, motion=None)
+        late.append(prepared.patterns.between(split, float(recording.time[-1])))
+    problem = dataclasses.replace(problem, recordings=earlier, part=None, slopes=None, load=None)
+    return problem, joined(late)
+
+
+def residual(
+    fit: Fit, patterns: Patterns, start: Float[np.ndarray, " joints"] | None = None
+) -> Float[np.ndarray, "samples joints"]:
+    """Return what a fit leaves of the torque of patterns [N m or N].
+
+    - `start`: (n,) states of dry friction at the first sample; zeros if None.
+    """
+    network = along_motion(fit.network, patterns, fit.lengths, start)
+    return np.asarray(patterns.torque) - torque_of(network, patterns, fit.k)
+
+
+def held_out_of(
+    problem: Problem,
+    fit: Fit,
+    source: Source = "validation",
+    error: Float[np.ndarray, "samples joints"] | None = None,
+    mask: np.ndarray | None = None,
+) -> HeldOut:
+    """Return torque errors of motion that was not fitted, beside those of the training recordings.
+
+    - `error`, `mask`: of that motion and what counts; of the validation recording if None.
+    """
+    training = problem.patterns["training"]
+    if error is None or mask is None:
+        validation = problem.patterns["validation"]
+        error, mask = residual(fit, validation), np.asarray(validation.mask)
+    result = judged_errors(
+        *(residual(fit, training), np.asarray(training.mask), error, mask),
+        int(fit.identification.rank),
+    )
+    return dataclasses.replace(
+        result, source=source, units=fit.network.output_units, names=fit.network.output_names
+    )

@@ -1,0 +1,197 @@
+"""Least squares on smoothed motion: the estimator that the others start from."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from .._processes import prepared_beside
+from ..bodies import JudgedPart, judged_bodies, with_knowledge
+from ..friction import PreSlidingFit, along_motion, checked_lengths, linearised
+from ..least_squares import Identification, computed_on_host
+from ..selection import PRE_SLIDING
+from ..uncertainty import (
+    HeldOut,
+    SeveralFit,
+    SystematicError,
+    SystematicProblem,
+    cross_validated_error,
+    fit_recordings,
+    left_out_error,
+)
+from ._estimator import AbstractEstimator, Fit, Judged, held_out_of
+from ._exclusions import BODIES, LOAD_FRICTION, OFFSETS, PREVIOUS, SEVERAL
+from ._problem import FOLDS, Problem
+
+
+# Coefficients of fits, and which of them are determined, by recording.
+_Fitted = Mapping[str, tuple[np.ndarray, np.ndarray]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Regression(AbstractEstimator):
+    """Least squares on smoothed motion; of several recordings, each weighted by its noise."""
+
+    @property
+    def supports(self) -> frozenset[str]:
+        return frozenset({PREVIOUS, OFFSETS, SEVERAL, BODIES, LOAD_FRICTION, PRE_SLIDING})
+
+    def fit(self, problem: Problem) -> Fit:
+        request, network, solver = problem.request, problem.network, problem.solver
+        several: SeveralFit | None = None
+        if len(problem.recordings) > 1:
+            patterns = {name: x.patterns for name, x in problem.recordings.items()}
+            several = fit_recordings(network, patterns, solver, offsets=request.offsets)
+            fit = several.fit
+        elif request.previous is not None and request.groups is not None:
+            fit = problem.settings.reidentify(
+                network, problem.patterns["training"], request.previous, request.groups
+            )
+        elif (fitted := problem.load or problem.slopes) is not None and problem.part is None:
+            fit = fitted.fit
+        elif problem.load is not None:
+            k = problem.load.fit.k
+            fit = solver.fit(*linearised(network, k, problem.patterns["training"]))
+        else:
+            fit = solver.fit(network, problem.patterns["training"])
+        return Fit(network, fit, np.zeros(network.joint_count), several)
+
+    def judged(self, problem: Problem) -> Judged:
+        request, network = problem.request, problem.network
+        previous = request.previous
+        # Before the fit, since JAX's threads begin with it.
+        with prepared_beside(
+            partial(_systematic_errors, problem),
+            allowed=request.systematic
+            and computed_on_host(network, problem.judged.recording.position),
+        ) as begin:
+            problem.step("fitting coefficients")
+            fit = self.fit(problem)
+            several = fit.source if isinstance(fit.source, SeveralFit) else None
+            if several is not None:
+                problem = _less_offsets(problem, several)
+            identification = with_knowledge(fit.identification, problem.known)
+            shifts: Callable[[], Mapping[str, SystematicError] | None] = lambda: None
+            if request.systematic:
+                problem.step("computing systematic errors")
+                shifts = begin(_fitted(problem, identification, several))
+            bodies, held_out, sentences = None, None, ()
+            if previous is None:
+                bodies, held_out, sentences = judged_bodies(
+                    network,
+                    identification,
+                    problem.judged_patterns,
+                    partial(_parts, problem, several),
+                    choice=request.possible,
+                    prior=request.prior,
+                    source="cross-validation" if several is None else "left-out recording",
+                    systematic=lambda: _combined(problem, several, shifts()),
+                    step=problem.step,
+                )
+            errors = shifts()
+        systematic = _combined(problem, several, errors)
+        if several is not None and errors is not None:
+            several, _ = several.allowing_for(errors)
+        vectors: Mapping[str, Any] = {}
+        if previous is not None:
+            vectors = {"before": previous.k if isinstance(previous, Identification) else previous}
+        if bodies is not None:
+            identification, vectors = bodies.fit, bodies.other_coefficients
+        if network.load_terms and previous is None:
+            network = network.with_load(np.asarray(identification.k))
+        fit = dataclasses.replace(fit, network=network, identification=identification)
+        problem.step("computing errors")
+        if problem.validation is not None:
+            held_out = held_out_of(problem, fit)
+        elif previous is None and held_out is None:
+            held_out = _cross_validated(problem, fit, several)
+        fitted = [x for x in (problem.slopes, problem.load) if x is not None]
+        return Judged(
+            problem,
+            fit,
+            held_out,
+            bodies,
+            systematic,
+            problem.slopes,
+            several,
+            vectors,
+            warnings=(*problem.warnings, *(line for x in fitted for line in x.warnings)),
+            consequences=tuple(sentences),
+        )
+
+
+def with_states(judged: Judged, lengths: tuple[float, ...]) -> Judged:
+    """Add a fit of least squares whose dry friction yields over known lengths, if there are any.
+
+    **Raises** `ValueError` for lengths that are not n or of joints without dry friction.
+    """
+    if not any(lengths):
+        return judged
+    problem, network = judged.problem, judged.fit.network
+    values = checked_lengths(network, lengths)
+    patterns = problem.patterns["training"]
+    fit = problem.solver.fit(along_motion(network, patterns, values), patterns)
+    return dataclasses.replace(judged, pre_sliding=PreSlidingFit(network, fit, values, {}, values))
+
+
+def _less_offsets(problem: Problem, several: SeveralFit) -> Problem:
+    """The problem with the constant torques taken off that were fitted along."""
+    if not problem.request.offsets:
+        return problem
+    recordings = {
+        name: dataclasses.replace(x, offsets=several.offsets[name])
+        for name, x in problem.recordings.items()
+    }
+    return dataclasses.replace(problem, recordings=recordings)
+
+
+def _parts(problem: Problem, several: SeveralFit | None) -> tuple[JudgedPart, ...]:
+    """Parts of the motion, and fits without each: recordings, or stretches of one."""
+    if several is not None:
+        return JudgedPart.recordings(problem.network, several.patterns, several.without)
+    return JudgedPart.stretches(problem.network, problem.judged_patterns, problem.solver, FOLDS)
+
+
+def _cross_validated(problem: Problem, fit: Fit, several: SeveralFit | None) -> HeldOut:
+    if several is not None:
+        return left_out_error(fit.network, several.patterns, fit.identification, several.without)
+    return cross_validated_error(
+        fit.network, problem.judged_patterns, problem.settings, fit=fit.identification
+    )
+
+
+def _systematic_errors(
+    problem: Problem,
+) -> Callable[[_Fitted], Mapping[str, SystematicError]]:
+    """A function of fits by recording that returns their systematic errors."""
+    (first, *_) = problem.recordings
+    listed = problem.recordings if problem.part is None else {first: problem.part}
+    problems = {
+        name: SystematicProblem.of(problem.network, x.recording, x.settings, x.derivatives)
+        for name, x in listed.items()
+    }
+    return lambda fitted: {  # as dictionaries, which another process can send
+        name: problems[name].error(*values, problem.request.groups).without(())
+        for name, values in fitted.items()
+    }
+
+
+def _fitted(
+    problem: Problem, identification: Identification, several: SeveralFit | None
+) -> _Fitted:
+    (first, *_) = problem.recordings
+    fits = {first: identification} if several is None else several.alone
+    return {name: (np.asarray(fit.k), np.asarray(fit.determined)) for name, fit in fits.items()}
+
+
+def _combined(
+    problem: Problem, several: SeveralFit | None, errors: Mapping[str, SystematicError] | None
+) -> SystematicError | None:
+    """The systematic error of a fit from those of its recordings, without what is fixed."""
+    if errors is None:
+        return None
+    (error,) = errors.values() if several is None else (several.allowing_for(errors)[1],)
+    fixed = [i for i, entry in problem.known.items() if entry.fixed]
+    return error.without(fixed)

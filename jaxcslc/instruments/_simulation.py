@@ -1,0 +1,342 @@
+"""Simulation of identified arms, with dry friction and joints that stick.
+
+Directions of joints at rest solve a linear complementarity problem (Júdice and Pires 1994).
+"""
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ..friction import split_friction, state_after
+from ..network import CSLC, JointTerm
+
+
+# Stretches of a step: each but the last ends where a joint comes to rest. Later stops within the
+# step count as at its end.
+_STRETCHES = 3
+# Break-away, up and down together, below which a joint never sticks [N m or N]; viscous friction at
+# the speed that break-away is read at is less.
+_LEAST = 1e-7
+# By which friction at rest exceeds break-away by rounding, in units of the rounding of torques.
+_ROUNDINGS = 64.0
+# Pivots at most, for each joint. It takes two or three in all, unless rounding does not let it end.
+_PIVOTS = 32
+
+_Stretch: TypeAlias = tuple[Array, Array, Array, Array, Array]
+"""How far joints have moved, velocities, time left, directions from rest, friction."""
+
+
+class Friction(eqx.Module):
+    """Dry friction of joints, which jumps where their velocity changes its sign.
+
+    **Attributes**
+
+    - `forwards`, `backwards`: (starts, n) torque of a joint that begins to move in the positive and
+      in the negative direction [N m or N].
+    """
+
+    forwards: Float[Array, "starts joints"]
+    backwards: Float[Array, "starts joints"]
+
+    @property
+    def holds(self) -> Bool[Array, "starts joints"]:
+        """Joints that can stick."""
+        return self.forwards - self.backwards > _LEAST
+
+    def leaving(self, direction: Float[Array, "starts joints"]) -> Float[Array, "starts joints"]:
+        """Torque of joints that leave rest in a direction [N m or N]; 0 of those that do not."""
+        return jnp.where(
+            direction > 0.0, self.forwards, jnp.where(direction < 0.0, self.backwards, 0.0)
+        )
+
+    def directions(
+        self,
+        mass: Float[Array, "starts joints joints"],
+        drive: Float[Array, "starts joints"],
+        resting: Bool[Array, "starts joints"],
+    ) -> Float[Array, "starts joints"]:
+        """Compute the directions of joints at rest: 1 or -1, or 0 for those that stick.
+
+        Friction holds a joint while it need not exceed break-away. What it needs to be follows from
+        the accelerations of all joints, which follow from who sticks: a linear complementarity
+        problem with bounds, whose solution is unique as the mass matrix is positive definite. By
+        principal pivoting (Júdice and Pires, 'A block principal pivoting algorithm for large-scale
+        strictly monotone linear complementarity problems', Computers & Operations Research 21,
+        1994): joints against whose state the accelerations speak change it, all at once; if that
+        does not end, the first one alone, which does end (Murty 1974).
+
+        **Arguments**
+
+        - `mass`: (starts, n, n) mass matrices.
+        - `drive`: (starts, n) torque less what motion and gravity need and less friction of joints
+          that do not rest [N m or N].
+        - `resting`: (starts, n) joints of velocity 0 that can stick.
+
+        **Returns** (starts, n), 0 for joints that do not rest.
+        """
+        joints = drive.shape[1]
+        # Directions are discrete, so nothing is differentiated here.
+        mass, drive, up, down = jax.lax.stop_gradient((mass, drive, self.forwards, self.backwards))
+        rounding = _ROUNDINGS * jnp.finfo(drive.dtype).eps
+        size = jnp.abs(drive) + jnp.abs(up) + jnp.abs(down)
+
+        def changed(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            direction, _, count = carry
+            sticks = resting & (direction == 0.0)
+            net = drive - self.leaving(direction)
+            qdd = acceleration(mass, net, sticks)
+            products = mass * qdd[:, None]
+            needed = drive - jnp.sum(products, axis=2)
+            slack = rounding * (size + jnp.sum(jnp.abs(products), axis=2))
+            moves = jnp.where(needed > up + slack, 1.0, jnp.where(needed < down - slack, -1.0, 0.0))
+            wrong = (sticks & (moves != 0.0)) | (direction * qdd < 0.0)
+            first = wrong & (jnp.cumsum(wrong, axis=1) == 1)
+            change = jnp.where(count < joints, wrong, first)
+            new = jnp.where(sticks, moves, 0.0)
+            return jnp.where(change, new, direction), jnp.any(wrong), count + 1
+
+        def goes_on(carry: tuple[Array, Array, Array]) -> Array:
+            return carry[1] & (carry[2] < _PIVOTS * joints)
+
+        start = jnp.zeros_like(drive), jnp.any(resting), jnp.array(0)
+        return jax.lax.while_loop(goes_on, changed, start)[0]
+
+
+def acceleration(
+    mass: Float[Array, "starts joints joints"],
+    net: Float[Array, "starts joints"],
+    sticks: Bool[Array, "starts joints"],
+) -> Float[Array, "starts joints"]:
+    """Compute accelerations under net torques; 0 for joints that stick [rad/s² or m/s²].
+
+    By elimination without exchanges of rows, which positive definite matrices do not need. Over all
+    starts at once, that is a third of the time of a factorisation of one matrix after another.
+    """
+    free = ~sticks
+    # Inertia of joints that stick stays on the diagonal: that of no body gives no number.
+    together = (free[:, :, None] & free[:, None, :]) | jnp.eye(net.shape[1], dtype=bool)[None]
+    matrix = jnp.where(together, mass, 0.0)
+    rows = jnp.concatenate([matrix, jnp.where(free, net, 0.0)[..., None]], axis=2)
+    rows = jnp.moveaxis(rows, 0, 2)
+    for pivot in range(net.shape[1]):
+        row = rows[pivot] / rows[pivot, pivot][None]
+        others = rows[:, pivot].at[pivot].set(0.0)
+        rows = (rows - others[:, None] * row[None]).at[pivot].set(row)
+    return rows[:, -1].T
+
+
+def through_stops(
+    mass: Float[Array, "starts joints joints"],
+    drive: Float[Array, "starts joints"],
+    resisting: Float[Array, "starts joints"],
+    friction: Friction,
+    direction: Float[Array, "starts joints"],
+    qd: Float[Array, "starts joints"],
+    duration: float,
+) -> tuple[Float[Array, "starts joints"], Float[Array, "starts joints"]]:
+    """Motion through a step in which joints come to rest, stick, and move on.
+
+    Between such moments accelerations are constant. Where a joint stops, all joints at rest stick
+    or leave by a new balance.
+
+    **Arguments**
+
+    - `mass`, `drive`: (starts, n, n) and (starts, n), for the whole step: mass matrices, and torque
+      less what motion and gravity need [N m or N].
+    - `resisting`: (starts, n) friction of joints that go on as they do [N m or N].
+    - `friction`: of joints that stop; `direction`: (starts, n) of joints that leave rest, 0 for
+      those that stick.
+    - `qd`: (starts, n) velocities at the beginning [rad/s or m/s]; `duration`: of the step [s].
+
+    **Returns** by how much joints move, and velocities at the end.
+    """
+    holds = friction.holds
+
+    def stretch(count: Array, carry: _Stretch) -> _Stretch:
+        moved, v, left, direction, resisting = carry
+        sticks = holds & (v == 0.0) & (direction == 0.0)
+        end = v + left * acceleration(mass, drive - resisting, sticks)
+        # One that would leave rest against its direction does so by rounding, or by what changes
+        # within the step.
+        end = jnp.where(holds & (v == 0.0) & (direction * end < 0.0), 0.0, end)
+        stops = holds & (v * end < 0.0)
+        part = jnp.where(stops, v / jnp.where(stops, v - end, 1.0), 1.0)
+        least = jnp.where(count < _STRETCHES - 1, jnp.min(part, axis=1, keepdims=True), 1.0)
+        new = jnp.where(stops & (part <= least), 0.0, v + least * (end - v))
+        moved = moved + 0.5 * least * left * (v + new)
+        left = left * (1.0 - least)
+        resting = holds & (new == 0.0) & (left > 0.0)
+        leaving = friction.directions(mass, jnp.where(resting, drive, drive - resisting), resting)
+        direction = jnp.where(resting, leaving, direction)
+        resisting = jnp.where(resting, friction.leaving(leaving), resisting)
+        return moved, new, left, direction, resisting
+
+    def if_left(count: Array, carry: _Stretch) -> _Stretch:
+        return jax.lax.cond(jnp.any(carry[2] > 0.0), stretch, lambda _, same: same, count, carry)
+
+    left = jnp.full((len(qd), 1), duration, qd.dtype)
+    start = jnp.zeros_like(qd), qd, left, direction, resisting
+    moved, end, *_ = jax.lax.fori_loop(0, _STRETCHES, if_left, start)
+    return moved, end
+
+
+# Longest step of integration [s].
+_LONGEST_STEP = 2e-3
+# Speed at which friction of either direction is read off [rad/s or m/s].
+_SLOWEST = 1e-9
+
+
+State: TypeAlias = tuple[Array, Array, Array]
+"""Positions, velocities and states of contacts, (starts, n) each."""
+
+
+@eqx.filter_jit
+def simulate(
+    network: CSLC,
+    k: Float[Array | np.ndarray, " coefficients"],
+    q: Float[Array | np.ndarray, "starts joints"],
+    qd: Float[Array | np.ndarray, "starts joints"],
+    torque: Float[Array | np.ndarray, "intervals starts joints"],
+    interval: float,
+    *,
+    lengths: Float[Array | np.ndarray, " joints"] | None = None,
+    contact: Float[Array | np.ndarray, "starts joints"] | None = None,
+) -> Float[Array, "instants starts joints"]:
+    """Motion under torques that are held for an interval each, without feedback.
+
+    Midpoint rule, in stretches where a joint comes to rest within a step. A joint at rest sticks
+    while friction need not exceed break-away, as the accelerations of all joints make it: one that
+    moves can drag others along, and some stick because others do.
+    A joint whose dry friction yields before it slides never sticks: its contact holds it.
+
+    **Arguments**
+
+    - `network`: n joints, p coefficients; `k`: (p,).
+    - `q`, `qd`: positions and velocities to start from, (starts, n) [rad, rad/s or m, m/s].
+    - `torque`: (intervals, starts, n) [N m or N].
+    - `interval`: its length [s].
+    - `lengths`: (n,) of pre-sliding [rad or m], 0 where dry friction follows the sign of velocity;
+      None if it does everywhere.
+    - `contact`: (starts, n) states of contacts to start from (`pre_sliding`); zeros if None.
+
+    **Returns** positions at the beginning of each interval and at the end, (intervals + 1, starts,
+    n). They are not finite where the model's mass matrix is that of no body.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.instruments import simulate
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+    >>> network = jc.derive(pendulum.with_friction("dry"), lengths="numeric")
+    >>> start, push = np.zeros((2, 1)), np.full((100, 2, 1), 1.5)
+    >>> push[:, 1] = 0.4  # less than dry friction
+    >>> path = simulate(network, np.array([2.0, 0.5]), start, start, push, 0.01)
+    >>> np.round(path[-1, :, 0], 4).tolist()  # (1.5 - 0.5) / 2.0 / 2
+    [0.25, 0.0]
+    """
+    advance = held_step(network, jnp.asarray(k), interval, lengths)
+
+    def through(state: State, force: Array) -> tuple[State, Array]:
+        after = advance(state, force)
+        return after, after[0]
+
+    start = jnp.asarray(q), jnp.asarray(qd), jnp.asarray(0 * q if contact is None else contact)
+    _, path = jax.lax.scan(through, start, jnp.asarray(torque))
+    return jnp.concatenate([start[0][None], path])
+
+
+def held_step(
+    network: CSLC,
+    k: Array,
+    interval: float,
+    lengths: Float[Array | np.ndarray, " joints"] | None = None,
+) -> Callable[[State, Array], State]:
+    """The motion of one interval of `simulate`: from the state at its beginning and the torque that
+    is held, (starts, n) each, to the state at its end.
+
+    States of contacts change only where `lengths` says that friction has them. Along each half of a
+    step they follow the path exactly. A contact is a spring of friction / length, as stiff as 1e5
+    N m/rad on real arms, which the explicit rule would let vibrate ever more: so friction at the
+    middle of a step is that of the implicit rule, to first order in the step's acceleration.
+    """
+    if network.load_terms:
+        raise ValueError("simulation: knows no friction of kind 'load'; remove it")
+    steps = max(1, int(np.ceil(interval / _LONGEST_STEP - 1e-9)))
+    h = interval / steps
+    others, dry, length = (
+        (k, None, None) if lengths is None else split_friction(network, k, lengths)
+    )
+
+    def contact_after(w: Array, change: Array) -> Array:
+        return w if length is None else state_after(w, change, length[None])
+
+    def contact_torque(w: Array) -> Array | float:
+        return 0.0 if dry is None else dry[None] * w
+
+    def contact_stiffness(w: Array, sign: Array) -> Array | float:
+        if dry is None or length is None:
+            return 0.0
+        return ((dry / length)[None] * (1.0 - sign * w))[:, :, None] * jnp.eye(w.shape[1])[None]
+
+    def step(state: State, force: Array) -> State:
+        q, qd, w = state
+        friction = Friction(
+            _joint_torque(network, others, q, jnp.full_like(qd, _SLOWEST)),
+            _joint_torque(network, others, q, jnp.full_like(qd, -_SLOWEST)),
+        )
+        resting = friction.holds & (qd == 0.0)
+        half_way = contact_after(w, 0.5 * h * qd)
+
+        def drive_at(q: Array, qd: Array) -> Array:
+            """Torque less all but inertia and friction of joints."""
+            return force - _other_torque(network, others, q, qd) - contact_torque(half_way)
+
+        def mass_at(q: Array, direction: Array) -> Array:
+            stiffness = contact_stiffness(half_way, direction)
+            return network.mass_matrix(k, q) + 0.25 * h**2 * stiffness
+
+        resisting = jnp.where(resting, 0.0, _joint_torque(network, others, q, qd))
+        drive = drive_at(q, qd)
+        sign = jnp.where(qd == 0.0, jnp.sign(drive - resisting), jnp.sign(qd))
+        mass = mass_at(q, sign)
+        leaving = friction.directions(mass, drive - resisting, resting)
+        sign = jnp.where(resting, leaving, sign)
+        resisting = resisting + friction.leaving(leaving)
+        first = acceleration(mass, drive - resisting, resting & (leaving == 0.0))
+        # A contact is stiffer on the way back: by the stiffness of the way there, a joint that
+        # turns would turn with more energy than it came with.
+        back = sign * (qd + h * first) < 0.0
+        middle = q + 0.5 * h * qd, qd + 0.5 * h * first
+        mass, drive = mass_at(middle[0], jnp.where(back, -sign, sign)), drive_at(*middle)
+        slides = jnp.where(
+            friction.holds, sign * jnp.maximum(sign * middle[1], _SLOWEST), middle[1]
+        )
+        resisting = _joint_torque(network, others, middle[0], slides)
+        moved, after = through_stops(mass, drive, resisting, friction, leaving, qd, h)
+        return q + moved, after, contact_after(half_way, 0.5 * h * after)
+
+    def advance(state: State, force: Array) -> State:
+        return jax.lax.fori_loop(0, steps, lambda _, carry: step(carry, force), state)
+
+    return advance
+
+
+def _joint_torque(network: CSLC, k: Array, q: Array, qd: Array) -> Array:
+    """Compute the torque of friction laws and springs of single joints."""
+    return _sum(network, k, (q, qd, jnp.zeros_like(q)), of_joints=True)
+
+
+def _other_torque(network: CSLC, k: Array, q: Array, qd: Array) -> Array:
+    """Compute the torque of all other terms, without acceleration."""
+    return _sum(network, k, (q, qd, jnp.zeros_like(q)), of_joints=False)
+
+
+def _sum(network: CSLC, k: Array, motion: tuple[Array, ...], *, of_joints: bool) -> Array:
+    total = jnp.zeros_like(motion[0])
+    for term in network.terms:
+        if isinstance(term, JointTerm) == of_joints:
+            total = total + term.torque(k[network.layout.of(term)], *motion)
+    return total

@@ -1,0 +1,395 @@
+"""`LeastSquares`: the estimator, with all its options (thesis 8.2.3).
+
+Its methods fit patterns, streams, factors and folds with the other modules of this package.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from .._environment import require_float64
+from ..network import AbstractLinearNetwork
+from ..recordings import Patterns
+from ._compiled import HostColumns, columns_of, computed_on_host, filled_up, torque_by, traced
+from ._equations import Equations, equations_of, pattern_factors, samples_of
+from ._factors import JointFactors, Unknowns
+from ._factors_fit import fit_of_factors, ordinary_minimum
+from ._fixed import Fixed, check_nothing_known
+from ._folds import FoldProducts
+from ._identification import RESULTS, Identification, result_of
+from ._losses import LOSSES, Loss
+from ._minimum import FoldFit, JointWeights, fold_coefficients, fold_fits
+from ._rows import AbstractRows, KeptRows, PatternRows
+from ._standard_errors import ERRORS, Errors
+from ._streaming import are_many, factors_of_patterns, factors_of_stream, residual_sums_of
+
+
+def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
+    """**Raises** `ValueError` for a value that is none of the choices."""
+    if value not in choices:
+        raise ValueError(f"{name} is {value!r}; expected {' or '.join(map(repr, choices))}")
+
+
+def check_patterns(network: AbstractLinearNetwork, patterns: Patterns) -> None:
+    """**Raises** `ValueError` for patterns of another size, and for others than float64."""
+    if patterns.joints != network.joint_count:
+        raise ValueError(
+            f"patterns have {patterns.joints} joints, {network.name!r} has {network.joint_count}"
+        )
+    if patterns.q.shape[-1] != network.motion_count:
+        raise ValueError(
+            f"patterns have {patterns.q.shape[-1]} columns of motion, {network.name!r} has"
+            f" {network.motion_count}"
+        )
+    require_float64(patterns.q, patterns.qd, patterns.qdd, patterns.torque)
+
+
+def checked(fit: Identification, throw: bool) -> Identification:
+    """**Raises** `RuntimeError` for results that are failures, if `throw` says so."""
+    if not throw:
+        return fit
+    # Rank deficiency is an answer, not a failure.
+    if not traced(fit.result) and result_of(fit) in ("successful", "rank_deficient"):
+        return fit
+    failed = (fit.result == RESULTS.nonfinite) | (fit.result == RESULTS.no_equations)
+    return fit.result.error_if(fit, failed)
+
+
+# A regressor of no more entries is kept for the second pass, half a gigabyte of them.
+_KEPT = 1 << 26
+
+
+@dataclasses.dataclass(frozen=True)
+class LeastSquares:
+    """The least-squares fit of torque equations: all options, checked once (thesis 8.2.3).
+
+    Torque is linear in the coefficients (Eqn. 4.1-4), so one orthogonal factorisation replaces
+    training. Every fit of the library goes through this class.
+
+    **Attributes**
+
+    - `joint_weights`: `"residual"` divides the equations of each joint by their root mean square
+      residual, as for joints of different noise; `"equal"`; or n positive numbers.
+    - `loss`: `"squared"`, ordinary least squares; or a robust one, minimised by iteratively
+      reweighted least squares: `"huber"` bounds the influence of an equation beyond 1.345
+      standard deviations, `"bisquare"` ignores equations beyond 4.685. The standard deviation of
+      each joint is then estimated by the median absolute error, and `"residual"` divides by that.
+      With `cutoff` the filtered equations are reweighted: an outlier should not be longer than
+      the filter's memory.
+    - `errors`: what standard errors allow for. `"correlated"`: correlation in time, as every
+      smoothing makes it, correlation between joints, and strength that varies with the motion; a
+      second pass over the patterns. `"independent"`: independent errors of one variance once
+      joints are weighted. See `docs/uncertainty.md`.
+    - `cutoff`: filter regressor and torque alike by a zero-phase low pass of this frequency [Hz]
+      and decimate ('parallel filter', see `jaxcslc.recordings.parallel_filter`), or None. Needs a
+      uniform sampling interval, and runs on the host: not under `jit`.
+    - `rcond`: singular values below this part of the largest count as zero; by default what
+      rounding alone explains.
+
+    **Raises**
+
+    - `ValueError`: an option that is none of these.
+
+    >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.linspace(0, 5, 500)[:, None]
+    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
+    >>> k = jnp.array([0.5, 0.3, -0.1, 0.2, 0.05])
+    >>> mask = np.ones(q.shape, bool)
+    >>> patterns = jc.Patterns(t[:, 0], q, qd, qdd, network.torque(k, q, qd, qdd), mask, mask)
+    >>> bool(jnp.allclose(jc.LeastSquares().fit(network, patterns).k, k))
+    True
+    """
+
+    joint_weights: JointWeights = "residual"
+    loss: Loss = "squared"
+    errors: Errors = "correlated"
+    cutoff: float | None = None
+    rcond: float | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.joint_weights, str):
+            check_choice("joint_weights", self.joint_weights, ("equal", "residual"))
+        else:
+            # As a tuple, so that solvers can be compared and are constants of compiled functions.
+            weights = np.asarray(self.joint_weights, float)
+            if weights.ndim != 1 or not np.all((weights > 0.0) & (weights < np.inf)):
+                raise ValueError(
+                    f"joint_weights: expected positive numbers, one a joint, got {weights.tolist()}"
+                )
+            object.__setattr__(self, "joint_weights", tuple(weights.tolist()))
+        check_choice("loss", self.loss, LOSSES)
+        check_choice("errors", self.errors, ERRORS)
+        if self.cutoff is not None and not 0.0 < self.cutoff < np.inf:
+            raise ValueError(f"cutoff: expected more than 0 Hz, or None, got {self.cutoff}")
+        if self.rcond is not None and not 0.0 <= self.rcond < 1.0:
+            raise ValueError(f"rcond: expected at least 0 and below 1, or None, got {self.rcond}")
+
+    def fit(
+        self,
+        network: AbstractLinearNetwork,
+        patterns: Patterns,
+        fixed: Fixed | None = None,
+        throw: bool = True,
+    ) -> Identification:
+        """The coefficients that minimise the loss of the torque error over the masked patterns.
+
+        **Arguments**
+
+        - `network`: n joints, p coefficients.
+        - `patterns`: motion and torque (samples, n); pairs outside of the mask are left out.
+        - `fixed`: coefficients that keep their values; if None, all are fitted but those that
+          are numbers in the network (`network.known_values`).
+        - `throw`: raise on NaN and on too few equations instead of returning the result code. A
+          rank-deficient fit never raises: it returns the solution of least norm and names what is
+          missing.
+
+        **Returns** an `Identification`. Without `cutoff` and with `throw=False` the function can
+        be jitted and vmapped over recordings.
+
+        **Raises**
+
+        - `ValueError`: if patterns and network differ in joints, or are not in float64.
+        - `RuntimeError`: with `throw`, if patterns are not finite or too few.
+        """
+        fixed = fixed or Fixed.of_known(network)
+        return checked(self._fit_patterns(network, patterns, fixed), throw)
+
+    def fit_stream(
+        self,
+        network: AbstractLinearNetwork,
+        chunks: Iterable[Patterns],
+        fixed: Fixed | None = None,
+        throw: bool = True,
+        *,
+        workers: int | None = None,
+    ) -> Identification:
+        """Fit patterns that arrive in pieces, in constant memory; the fit is that of `fit`.
+
+        Every piece is factorised and joined to the triangles of those before (an orthogonal
+        factorisation, never the normal equations). A stream passes once, so neither robust losses
+        nor correlated errors nor a cut-off are possible.
+
+        **Arguments**
+
+        - `chunks`: patterns in pieces of any size, for instance from
+          `jaxcslc.recordings.iterate_recording`.
+        - `workers`: how many pieces to factorise at a time; one a core by default. The result does
+          not depend on which worker took which piece beyond rounding.
+        - the others: as of `fit`.
+
+        **Raises** as `fit`; and `ValueError` if there are no patterns, or for options that need
+        a second pass.
+
+        >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
+        >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
+        >>> network = jc.derive(arm, lengths="numeric")
+        >>> t = np.linspace(0, 5, 500)[:, None]
+        >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
+        >>> k = jnp.array([0.5, 0.2, 0.05])
+        >>> mask = np.ones(t.shape, bool)
+        >>> patterns = jc.Patterns(t[:, 0], q, qd, qdd, network.torque(k, q, qd, qdd), mask, mask)
+        >>> pieces = (patterns.between(start, start + 1.0) for start in np.arange(0.0, 6.0))
+        >>> fit = jc.LeastSquares(errors="independent").fit_stream(network, pieces)
+        >>> bool(jnp.allclose(fit.k, k))
+        True
+        """
+        if self.loss != "squared" or self.errors != "independent" or self.cutoff is not None:
+            raise ValueError(
+                "a stream passes once: expected loss 'squared', errors 'independent' and no"
+                f" cutoff, got {self}"
+            )
+        return self.fit_factors(network, factors_of_stream(network, chunks, workers), fixed, throw)
+
+    def fit_factors(
+        self,
+        network: AbstractLinearNetwork,
+        factors: JointFactors,
+        fixed: Fixed | None = None,
+        throw: bool = True,
+    ) -> Identification:
+        """The ordinary fit of factorised patterns, its errors for independent noise."""
+        unknowns, fixed = Unknowns.of(network), fixed or Fixed.of_known(network)
+        return checked(self._fit_rows(unknowns, factors, None, fixed), throw)
+
+    def fit_equations(
+        self, equations: Equations, samples: int, fixed: Fixed | None = None, throw: bool = True
+    ) -> Identification:
+        """The fit of equations of recordings of so many samples, as `fit`; on the host."""
+        rows = KeptRows.from_equations(equations, samples) if self._passes_twice else None
+        return checked(self._fit_rows(equations.unknowns, equations.factors(), rows, fixed), throw)
+
+    def coefficients(self, equations: Equations) -> Float[np.ndarray, " coefficients"]:
+        """The coefficients of `fit_equations` alone, for the squared loss: nothing is compiled.
+
+        NaN where equations are not finite.
+        """
+        factors = equations.factors()
+        solution, _ = ordinary_minimum(
+            equations.unknowns, factors, None, self.joint_weights, self.rcond
+        )
+        return solution.k
+
+    def equations(self, network: AbstractLinearNetwork, patterns: Patterns) -> Equations:
+        """The equations that `fit` solves, one for each pair of the mask, or those that the
+        parallel filter makes of them; on the host."""
+        check_patterns(network, patterns)
+        check_nothing_known(network, "equations")
+        return equations_of(network, patterns, self.cutoff)
+
+    def fit_folds(
+        self,
+        network: AbstractLinearNetwork,
+        patterns: Patterns,
+        fold: Int[np.ndarray, " samples"],
+        columns: HostColumns | None = None,
+    ) -> Float[np.ndarray, "folds coefficients"]:
+        """The coefficients fitted to all folds but one, for each one left out; on the host.
+
+        - `fold`, `columns`: as of `held_out_errors`.
+        """
+        check_nothing_known(network, "folds")
+        if columns is None:
+            check_patterns(network, patterns)
+            columns = columns_of(network, patterns)
+        unknowns, cutoff = Unknowns.of(network), self.cutoff
+        equations = None if cutoff is None else equations_of(network, patterns, cutoff, columns)
+        if self.loss == "squared" and self.rcond is None:
+            if equations is None:
+                products = FoldProducts.of_columns(unknowns, columns, patterns, fold)
+            else:
+                products = FoldProducts.of_equations(equations, fold)
+            if (k := products.coefficients(self.joint_weights)) is not None:
+                return k
+        if equations is None:
+            equations = equations_of(network, patterns, None, columns)
+        if self.loss == "squared":
+            factors = equations.factors_of_folds(fold, int(np.max(fold)) + 1)
+            return fold_coefficients(unknowns, factors, self.joint_weights, self.rcond)
+        return np.stack([np.asarray(fit.k) for fit in self._iterated_folds(equations, fold)])
+
+    def fits_without_folds(
+        self,
+        network: AbstractLinearNetwork,
+        patterns: Patterns,
+        fold: Int[np.ndarray, " samples"],
+        columns: HostColumns | None = None,
+    ) -> tuple[FoldFit, ...]:
+        """Return the fits of `fit_folds` with covariances for independent errors; on the host.
+
+        - `fold`, `columns`: as of `held_out_errors`.
+        """
+        check_nothing_known(network, "folds")
+        equations = equations_of(network, patterns, self.cutoff, columns)
+        if self.loss == "squared":
+            factors = equations.factors_of_folds(fold, int(np.max(fold)) + 1)
+            return fold_fits(equations.unknowns, factors, self.joint_weights, self.rcond)
+        fits = self._iterated_folds(equations, fold)
+        return tuple(
+            FoldFit(*map(np.asarray, (fit.k, fit.covariance, fit.undetermined))) for fit in fits
+        )
+
+    def held_out_errors(
+        self,
+        network: AbstractLinearNetwork,
+        patterns: Patterns,
+        fold: Int[np.ndarray, " samples"],
+        columns: HostColumns | None = None,
+    ) -> Float[np.ndarray, "samples joints"]:
+        """Torque error of each sample under the coefficients fitted without its fold.
+
+        - `fold`: the fold of each sample, from 0.
+        - `columns`: of the regressor of the patterns' motion, for each joint those of its support
+          (support, samples), if they are known already.
+        """
+        if columns is None:
+            check_patterns(network, patterns)
+            columns = columns_of(network, patterns)
+        k = self.fit_folds(network, patterns, fold, columns)
+        errors = np.array(patterns.torque, float)
+        for number, coefficients in enumerate(k):
+            rows = samples_of(fold, number)
+            part = tuple(joint_columns[:, rows] for joint_columns in columns)
+            errors[rows] -= torque_by(network.support, part, coefficients)
+        return errors
+
+    def _iterated_folds(
+        self, equations: Equations, fold: Int[np.ndarray, " samples"]
+    ) -> Iterator[Identification]:
+        """Fits of a robust loss without each fold, which are iterative: one after the other."""
+        solver = dataclasses.replace(self, errors="independent")
+        for number in range(int(np.max(fold)) + 1):
+            yield solver.fit_equations(equations.selected(fold != number), len(fold), throw=False)
+
+    @property
+    def description(self) -> str:
+        """The options that matter, in words."""
+        if isinstance(self.joint_weights, str):
+            weights = "equally" if self.joint_weights == "equal" else "by residual"
+        else:
+            weights = f"by {', '.join(f'{float(weight):g}' for weight in self.joint_weights)}"
+        parts = [
+            "" if self.cutoff is None else f"filtered alike at {self.cutoff:g} Hz",
+            f"joints weighted {weights}",
+            "" if self.loss == "squared" else f"loss of {self.loss!r}",
+        ]
+        return ", ".join(part for part in parts if part)
+
+    @property
+    def _passes_twice(self) -> bool:
+        """The ordinary fit needs no more of its equations than their factors."""
+        return self.loss != "squared" or self.errors != "independent"
+
+    def _fit_patterns(
+        self, network: AbstractLinearNetwork, patterns: Patterns, fixed: Fixed | None
+    ) -> Identification:
+        check_patterns(network, patterns)
+        rows: AbstractRows | None = None
+        samples = len(patterns.q)
+        motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, patterns.mask)
+        if self.cutoff is not None or computed_on_host(network, *motion):
+            equations = equations_of(network, patterns, self.cutoff)
+            return self.fit_equations(equations, samples, fixed, throw=False)
+        many = not traced(motion) and are_many(patterns)
+        if not self._passes_twice and many:
+            factors = factors_of_patterns(network, patterns)
+            sums = partial(residual_sums_of, network, patterns)
+            return self._fit_rows(Unknowns.of(network), factors, None, fixed, sums)
+        q, qd, qdd, torque = (filled_up(x) for x in motion[:-1])
+        weight = filled_up(patterns.mask.astype(float))
+        factors = pattern_factors(network, patterns)
+        if self._passes_twice and (traced(motion) or patterns.q.size * network.size > _KEPT):
+            phase = (jnp.arange(len(q)) + 0.5) / samples
+            rows = PatternRows(
+                network=network, q=q, qd=qd, qdd=qdd, torque=torque, counts=weight, phase=phase
+            )
+        elif self._passes_twice:
+            rows = KeptRows.from_equations(equations_of(network, patterns, None), samples)
+        sums = partial(residual_sums_of, network, patterns) if many else None
+        return self._fit_rows(Unknowns.of(network), factors, rows, fixed, sums)
+
+    def _fit_rows(
+        self,
+        unknowns: Unknowns,
+        factors: JointFactors,
+        rows: AbstractRows | None,
+        fixed: Fixed | None,
+        sums: Callable[[Any], Any] | None = None,
+    ) -> Identification:
+        return fit_of_factors(
+            unknowns,
+            factors,
+            rows,
+            fixed,
+            sums,
+            joint_weights=self.joint_weights,
+            loss=self.loss,
+            errors=self.errors,
+            rcond=self.rcond,
+        )

@@ -1,0 +1,56 @@
+"""Maximum likelihood: positions are estimated along with the coefficients.
+
+recordings ──► problem, start ──► search: step, test, stages ──► fit, errors
+
+- `_blocks`: residual blocks (readings, equations of motion, rest, reversals, priors).
+- `_equations`, `_motion_code`: equations of motion with derivatives.
+- `_band`, `_normal_equations`, `_linear`: elimination in time with a border.
+- `_search`, `_search_state`, `_levenberg`: the search.
+- `_likelihood_fit`, `_reported_errors`: the result and its uncertainty.
+"""
+
+from ._band import (
+    add_equations as add_equations,
+    equation_changes as equation_changes,
+    equation_gradients as equation_gradients,
+)
+from ._columns import JointColumns as JointColumns
+from ._comparison import (
+    Estimator as Estimator,
+    EstimatorComparison as EstimatorComparison,
+    estimator_text as estimator_text,
+    lengths_line as lengths_line,
+)
+from ._elastic_equations import ElasticEquations as ElasticEquations
+from ._equations import MotionEquations as MotionEquations
+from ._left_out import LeftOut as LeftOut
+from ._likelihood_fit import LikelihoodFit as LikelihoodFit, Misfit as Misfit
+from ._maximum_likelihood import MaximumLikelihood as MaximumLikelihood
+from ._motion_code import MotionCode as MotionCode, motion_code as motion_code
+from ._normal_equations import Spectrum as Spectrum, solved as solved
+from ._pre_sliding_equations import PreSlidingEquations as PreSlidingEquations
+from ._reported_errors import RowSums as RowSums, eliminated_rows as eliminated_rows
+from ._search import Minimum as Minimum, search as search, search_on as search_on
+from ._search_state import SearchState as SearchState
+from ._signs import runs as runs
+from ._spacing import NoiseExcitation as NoiseExcitation, SpacingChoice as SpacingChoice
+from ._torque_record import (
+    TorqueRecord as TorqueRecord,
+    TorqueSampling as TorqueSampling,
+    triangle_mean as triangle_mean,
+)
+from ._traced_equations import TracedEquations as TracedEquations
+from ._transmission import Transmission as Transmission, transmission_lines as transmission_lines
+
+
+__all__ = [
+    "Estimator",
+    "EstimatorComparison",
+    "LikelihoodFit",
+    "MaximumLikelihood",
+    "Misfit",
+    "NoiseExcitation",
+    "SpacingChoice",
+    "TorqueSampling",
+    "Transmission",
+]

@@ -1,0 +1,239 @@
+"""Sums over equations into the band of positions and its border."""
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .._chunks import over_chunks
+from ..codegen import INTEGERS, LONG, CArray, CFunction
+from ._columns import JointColumns
+from ._normal_equations import SOURCE
+
+
+# Equations whose products are in memory at a time, where there is no compiler.
+_BLOCK = 256
+# Equations that a thread adds.
+_CHUNK = 4096
+
+_ADD = CFunction(
+    SOURCE,
+    "add_equations",
+    (
+        *(CArray("samples", INTEGERS), CArray("equations joints")),
+        *(CArray("equations joints stencil"), CArray("equations entries")),
+        *(CArray("entries", INTEGERS), CArray("entries", INTEGERS)),
+        *(CArray("unknowns width", written=True), CArray("unknowns border", written=True)),
+        *(CArray("numbers", written=True), CArray("integers", INTEGERS, written=True)),
+        *[LONG] * 8,
+    ),
+)
+
+
+def add_equations(
+    band: Float[np.ndarray, "inner diagonals"],
+    mixed: Float[np.ndarray, "inner border"],
+    position: Int[np.ndarray, "samples joints"],
+    weight: Float[np.ndarray, "equations joints"],
+    by_position: Float[np.ndarray, "equations joints positions"],
+    by_border: JointColumns,
+) -> None:
+    """Adds the squares of equations of motion to normal equations, but for the border's own.
+
+    **Arguments**
+
+    - `band`: the lower band, a row for each of its columns, diagonal first; `mixed`: products of
+      these unknowns and the border.
+    - `position`: of each sample's positions among the unknowns, one after the other.
+    - `weight`: of equations.
+    - `by_position`: derivatives by the positions at three samples; `by_border`: by the border.
+    """
+    if not _ADD.is_available:
+        _add_in_blocks(band, mixed, position, weight, by_position, by_border.dense)
+        return
+    count, n, stencil = by_position.shape
+    columns = mixed.shape[1]
+    of_border = by_border.values, by_border.joints, by_border.columns
+    bound = _ADD.bound(position[:, 0], weight, by_position, *of_border, band, mixed)
+    sizes = (n, stencil // n, 0, band.shape[1], columns, len(by_border.joints))
+
+    def add(first: int, last: int) -> None:
+        memory = np.zeros((stencil + columns + 8) * n)
+        integers = np.zeros((n + 1) * (columns // 2 + 1) + stencil, INTEGERS)
+        bound(memory, integers, first, last, *sizes)
+
+    # The last equations of a chunk have samples that the next chunk has, too: they follow alone.
+    shared = stencil // n - 1
+    over_chunks(lambda first, last: add(first, last - shared * (last < count)), count, _CHUNK)
+    for last in range(_CHUNK, count, _CHUNK):
+        add(last - shared, last)
+
+
+def _add_in_blocks(
+    band: Float[np.ndarray, "inner diagonals"],
+    mixed: Float[np.ndarray, "inner border"],
+    position: Int[np.ndarray, "samples joints"],
+    weight: Float[np.ndarray, "equations joints"],
+    by_position: Float[np.ndarray, "equations joints positions"],
+    by_border: Float[np.ndarray, "equations joints border"],
+) -> None:
+    """Add the products by NumPy, block by block.
+
+    Products of all equations at once would be several times what is kept.
+    """
+    n = weight.shape[1]
+    slots = by_position.shape[2] // n
+    for start in range(0, len(weight), _BLOCK):
+        rows = slice(start, start + _BLOCK)
+        transposed = np.swapaxes(weight[rows, :, None] * by_position[rows], 1, 2)
+        products, of_border = transposed @ by_position[rows], transposed @ by_border[rows]
+        for slot in range(slots):
+            samples = np.arange(start, start + len(products))
+            blocks = slice(slot * n, (slot + 1) * n)
+            mixed[position[samples + slot]] += of_border[:, blocks]
+            for earlier in range(slot + 1):
+                row, column = np.broadcast_arrays(
+                    position[samples + slot][:, :, None], position[samples + earlier][:, None, :]
+                )
+                below = row >= column
+                values = products[:, blocks, earlier * n : (earlier + 1) * n]
+                band[column[below], (row - column)[below]] += values[below]
+
+
+# Equations that a thread computes.
+
+ByPosition = Float[np.ndarray, "equations joints positions"]
+Rows = Float[np.ndarray, "equations joints"]
+Samples = Float[np.ndarray, "samples joints"]
+
+_DERIVATIVES = (
+    CArray("equations joints stencil"),
+    CArray("equations entries"),
+    CArray("ends", INTEGERS),
+)
+_CHANGE = CFunction(
+    SOURCE,
+    "change_equations",
+    (
+        *(*_DERIVATIVES, CArray("samples joints"), CArray("entries")),
+        *(CArray("equations joints", written=True), *[LONG] * 5),
+    ),
+)
+_ADD_GRADIENTS = CFunction(
+    SOURCE,
+    "add_gradients",
+    (
+        *(*_DERIVATIVES, CArray("equations joints"), CArray("samples joints", written=True)),
+        *(CArray("entries", written=True), *[LONG] * 5),
+    ),
+)
+
+
+def equation_changes(
+    by_position: ByPosition,
+    by_border: JointColumns,
+    position: Samples,
+    border: Float[np.ndarray, " border"],
+) -> Rows:
+    """Compute the changes of equations of motion: derivatives times changes of unknowns.
+
+    **Arguments**
+
+    - `by_position`: derivatives by the positions at three samples; `by_border`: by the border.
+    - `position`, `border`: changes of these.
+
+    >>> import numpy as np
+    >>> by_position = np.array([[[1.0, 10.0, 100.0]], [[2.0, 20.0, 200.0]]])
+    >>> by_border = JointColumns.of(np.array([[[1000.0]], [[2000.0]]]))
+    >>> position = np.array([[1.0], [2.0], [3.0], [4.0]])
+    >>> equation_changes(by_position, by_border, position, np.array([1.0])).tolist()
+    [[1321.0], [2864.0]]
+    """
+    if not _CHANGE.is_available:
+        return _changes_in_parts(by_position, by_border, position, border)
+    result = np.empty(by_position.shape[:2])
+    derivatives, sizes = _derivatives(by_position, by_border)
+    change = _CHANGE.bound(*derivatives, position, border[by_border.columns], result)
+    over_chunks(lambda first, last: change(first, last, *sizes), len(result), _CHUNK)
+    return result
+
+
+def equation_gradients(
+    by_position: ByPosition, by_border: JointColumns, force: Rows
+) -> tuple[Samples, Float[np.ndarray, " border"]]:
+    """The transpose: sums of equations' derivatives times `force`, by positions and by the border.
+
+    >>> import numpy as np
+    >>> by_position = np.array([[[1.0, 10.0, 100.0]], [[2.0, 20.0, 200.0]]])
+    >>> by_border = JointColumns.of(np.array([[[1000.0]], [[2000.0]]]))
+    >>> of_positions, of_border = equation_gradients(by_position, by_border, np.ones((2, 1)))
+    >>> of_positions.ravel().tolist(), of_border.tolist()
+    ([1.0, 12.0, 120.0, 200.0], [3000.0])
+    """
+    if not _ADD_GRADIENTS.is_available:
+        return _gradients_in_parts(by_position, by_border, force)
+    count, n, stencil = by_position.shape
+    of_positions = np.zeros((count + 2, n))
+    shared = stencil // n - 1
+    derivatives, sizes = _derivatives(by_position, by_border)
+    bound = _ADD_GRADIENTS.bound(*derivatives, force, of_positions)
+
+    def add(first: int, last: int) -> np.ndarray:
+        of_entries = np.zeros(len(by_border.columns))
+        bound(of_entries, first, last, *sizes)
+        return of_entries
+
+    # The last equations of a chunk have samples that the next chunk has, too: they follow alone.
+    parts = over_chunks(
+        lambda first, last: add(first, last - shared * (last < count)), count, _CHUNK
+    )
+    parts += [add(last - shared, last) for last in range(_CHUNK, count, _CHUNK)]
+    of_border = np.zeros(by_border.shape[1])
+    np.add.at(of_border, by_border.columns, np.sum(parts, axis=0))
+    return of_positions, of_border
+
+
+def _derivatives(
+    by_position: ByPosition, by_border: JointColumns
+) -> tuple[tuple[np.ndarray, ...], tuple[int, int, int]]:
+    """The first arguments of both functions, and the last ones: joints, slots and order."""
+    n = by_position.shape[1]
+    firsts = np.searchsorted(by_border.joints, np.arange(n + 1))
+    slots = by_position.shape[2] // n
+    return (by_position, by_border.values, firsts), (n, slots, slots - 3)
+
+
+def _changes_in_parts(
+    by_position: ByPosition,
+    by_border: JointColumns,
+    position: Samples,
+    border: Float[np.ndarray, " border"],
+) -> Rows:
+    """Compute `equation_changes` by NumPy."""
+    near = np.zeros((len(by_position), by_position.shape[2]))
+    for columns, equations, samples in stencil_parts(by_position):
+        near[equations, columns] = position[samples]
+    changes = np.matmul(by_position, near[:, :, None])[:, :, 0]
+    return by_border.times(border) + changes
+
+
+def _gradients_in_parts(
+    by_position: ByPosition, by_border: JointColumns, force: Rows
+) -> tuple[Samples, Float[np.ndarray, " border"]]:
+    result = np.zeros((len(by_position) + 2, by_position.shape[1]))
+    of_equations = np.matmul(force[:, None, :], by_position)[:, 0]
+    for columns, equations, samples in stencil_parts(by_position):
+        result[samples] += of_equations[equations, columns]
+    return result, by_border.summed(force)
+
+
+def stencil_parts(by_position: ByPosition) -> list[tuple[slice, slice, slice]]:
+    """Parts of equations' stencils, from the earliest sample: columns, equations and samples.
+
+    >>> import numpy as np
+    >>> stencil_parts(np.zeros((5, 1, 3)))[1]
+    (slice(1, 2, None), slice(0, 5, None), slice(1, 6, None))
+    """
+    count, n, stencil = by_position.shape
+    return [
+        (slice(i * n, (i + 1) * n), slice(0, count), slice(i, count + i))
+        for i in range(stencil // n)
+    ]

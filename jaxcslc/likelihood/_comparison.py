@@ -1,0 +1,130 @@
+"""Least squares and maximum likelihood next to each other, as a report has them."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from ..uncertainty import RelativeError, Source
+from ._likelihood_fit import LikelihoodFit
+from ._transmission import transmission_lines
+
+
+Estimator = Literal["least-squares", "maximum-likelihood"]
+"""Regression on smoothed motion, or positions and coefficients estimated together."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class EstimatorComparison:
+    """Estimators beside each other, on motion that none of them was fitted to.
+
+    **Attributes**
+
+    - `source`: of that motion: `"validation"`, or `"held-out stretch"`: the last part of each
+      training recording, predicted by fits to what is before it.
+    - `rms`: by estimator, (n,) RMS torque error of smoothed motion over judged samples [N m or N].
+    - `rms_all_samples`: the same over all samples.
+    - `relative`: misfits of maximum likelihood over those of least squares, what the decision rests
+      on: `MaximumLikelihood.misfit`, without a smoothing.
+    - `used`: whose coefficients are the report's.
+    - `likelihood`: the fit without a smoothing, to all training recordings.
+    - `units`: of each joint's torque.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.arange(600)[:, None] * 0.01
+    >>> q, qd, qdd = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
+    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
+    >>> recording = jc.Recording(t[:, 0], q, torque)
+    >>> report = jc.identify(
+    ...     network, recording, settings=jc.Settings(), estimator="maximum-likelihood"
+    ... )
+    >>> report.estimators.used, tuple(report.estimators.rms)
+    ('maximum-likelihood', ('least-squares', 'maximum-likelihood'))
+    """
+
+    source: Source
+    rms: Mapping[Estimator, Float[np.ndarray, " joints"]]
+    rms_all_samples: Mapping[Estimator, Float[np.ndarray, " joints"]]
+    relative: RelativeError
+    used: Estimator
+    likelihood: LikelihoodFit
+    units: tuple[str, ...]
+
+    def document(self) -> dict[str, Any]:
+        """Return what a report's file says of it, as plain data."""
+        likelihood = self.likelihood
+        return {
+            "used": self.used,
+            "held_out": self.source,
+            "rms": {name: values.tolist() for name, values in self.rms.items()},
+            "rms_all_samples": {
+                name: values.tolist() for name, values in self.rms_all_samples.items()
+            },
+            "change": self.relative.change,
+            "change_error": self.relative.change_error,
+            "torque_noise": self.likelihood.torque_noise.tolist(),
+            "position_noise": self.likelihood.position_noise.tolist(),
+            "spacing": None if likelihood.spacing is None else likelihood.spacing.document(),
+            "transmission": (
+                None if likelihood.transmission is None else likelihood.transmission.document()
+            ),
+            "lengths": likelihood.lengths.tolist() if likelihood.lengths.any() else None,
+            "steps": self.likelihood.steps,
+            "converged": self.likelihood.converged,
+        }
+
+    def __str__(self) -> str:
+        return estimator_text(self.document(), self.units)
+
+
+def estimator_text(document: Mapping[str, Any], units: Sequence[str]) -> str:
+    """Return what a report says of estimators beside each other.
+
+    **Arguments**
+
+    - `document`: an `EstimatorComparison.document`.
+    - `units`: of each joint's torque.
+    """
+    relative = RelativeError(document["change"], document["change_error"], 0)
+    lines = [
+        f"estimators, {document['held_out']} RMS over judged samples (over all), joint by joint:"
+    ]
+    for name, values in document["rms"].items():
+        pairs = zip(values, document["rms_all_samples"][name], strict=True)
+        lines.append(
+            f"    {name}: {', '.join(f'{judged:.4g} ({every:.4g})' for judged, every in pairs)}"
+        )
+    lines.append(
+        f"    with positions estimated, the misfit of maximum likelihood is {relative} beside that"
+        f" of least squares; the coefficients are those of {document['used']}"
+    )
+    if document["lengths"] is not None:
+        lines.append(f"    {lengths_line(document['lengths'], units)}")
+    lines += [f"    {line}" for line in transmission_lines(document["transmission"])]
+    if document["spacing"] is not None:
+        lines += [f"    {line}" for line in document["spacing"]["lines"]]
+    return "\n".join(lines)
+
+
+def lengths_line(lengths: Sequence[float], units: Sequence[str]) -> str:
+    """Say over which distances friction of both estimators yields before it slides.
+
+    **Arguments**
+
+    - `lengths`: (n,) of pre-sliding [rad or m]; 0 of joints without.
+    - `units`: of each joint's torque.
+
+    >>> lengths_line([0.04, 0.0], ["N m", "N m"])
+    'dry friction of both yields before it slides: joint 1 over 0.04 rad'
+    """
+    joints = ", ".join(
+        f"joint {number} over {length:.3g} {'m' if unit == 'N' else 'rad'}"
+        for number, (length, unit) in enumerate(zip(lengths, units, strict=True), start=1)
+        if length > 0.0
+    )
+    return f"dry friction of both yields before it slides: {joints}"

@@ -1,0 +1,235 @@
+"""Equations of motion: what every kind of them does, and those of rigid links."""
+
+import abc
+import dataclasses
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..network import CSLC
+from ._linearisation import Linearisation
+from ._motion_code import MotionCode, motion_code
+from ._torque_record import triangle_mean
+from ._traced_equations import TracedEquations
+
+
+Samples = Float[np.ndarray, "samples series"]
+Rows = Float[np.ndarray, "equations series"]
+Turns = Float[np.ndarray, "equations joints"]
+Joints = Float[np.ndarray, " joints"]
+Coefficients = Float[np.ndarray, " coefficients"]
+Laws = Float[np.ndarray, " laws"]
+# Below so many samples there are no differences of differences.
+_FEWEST = 5
+# Means are inverted in so many rounds: at even intervals, one leaves errors of fourth order.
+_ROUNDS = 3
+
+
+class AbstractEquations(abc.ABC):
+    """The equation of motion at every sample but the ends, as a function of positions.
+
+    Velocity is the derivative of the parabola through three positions, acceleration its second
+    difference: the average of the acceleration over the two intervals with a triangle. Friction is
+    averaged alike.
+
+    **Attributes**
+
+    - `network`: n joints, p coefficients.
+    - `intervals`: (samples - 1,) between samples [s].
+    """
+
+    network: CSLC
+    intervals: Float[np.ndarray, " intervals"]
+
+    @abc.abstractmethod
+    def torque(
+        self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
+    ) -> Rows:
+        """Return torque of every equation, (equations, series).
+
+        **Arguments**
+
+        - `k`: (p,); `laws`: (n,) logarithms of slopes of static friction, and what else equations
+          have.
+        - `q`: (samples, series) positions; joints come first.
+        - `turn`: (equations, n) when a joint turns, in intervals about the sample; -1 for one
+          that moves one way. `direction`: 1 or -1, the sign of velocity after `turn`.
+        """
+
+    @abc.abstractmethod
+    def linearised(
+        self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
+    ) -> Linearisation:
+        """`torque` with derivatives."""
+
+    def about(
+        self,
+        q: Samples,
+        time: Float[np.ndarray, " samples"],
+        part: Int[np.ndarray, " samples"],
+    ) -> "AbstractEquations":
+        """Return the equations for a step from positions; `part`: number of the recording of
+        each."""
+        del q, time, part
+        return self
+
+    def truncation(
+        self,
+        k: Coefficients,
+        laws: Laws,
+        q: Samples,
+        time: Float[np.ndarray, " samples"],
+        part: Int[np.ndarray, " samples"],
+        turn: Turns,
+        direction: Turns,
+    ) -> Rows:
+        """What equations of sampled torques leave out at present positions, (equations, series)."""
+        del k, laws, time, part, turn, direction
+        return np.zeros((len(q) - 2, q.shape[1]))
+
+    @property
+    def lengths(self) -> Joints:
+        """(n,) of pre-sliding [rad or m]; 0 where dry friction follows the sign of velocity."""
+        return np.zeros(self.network.joint_count)
+
+    def noise(self, torque_noise: Float[np.ndarray, "recordings joints"]) -> np.ndarray:
+        """Return (recordings, series) of all equations, from that of the motors' torque [N m or
+        N]."""
+        return torque_noise
+
+    def states(self, k: Coefficients) -> tuple[Joints, Rows | float]:
+        """Return (n,) friction that has a state, 0 of joints without one [N m or N]; and
+        (equations, n) which part of it nothing tells."""
+        del k
+        return np.zeros(self.network.joint_count), 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionEquations(AbstractEquations):
+    """Equations of motion of rigid links.
+
+    By C code where there is a compiler, which takes a tenth of the time; else as JAX traces them.
+
+    **Attributes**
+
+    - `network`: n joints, p coefficients.
+    - `intervals`: (samples - 1,) between samples [s].
+    """
+
+    network: CSLC
+    intervals: Float[np.ndarray, " intervals"]
+
+    def torque(
+        self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
+    ) -> Rows:
+        """As of `AbstractEquations`."""
+        return self._functions.torque(self.intervals, k, laws, q, turn, direction)
+
+    def linearised(
+        self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
+    ) -> Linearisation:
+        """As of `AbstractEquations`."""
+        return self._functions.linearised(self.intervals, k, laws, q, turn, direction)
+
+    def smooth(self, k: Coefficients, q: Rows, velocity: Rows, acceleration: Rows) -> Rows:
+        """Return torque of all terms but friction at instants, (equations, n)."""
+        return np.asarray(self._functions.smooth(k, q, velocity, acceleration))
+
+    def friction(
+        self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns, shift: Rows
+    ) -> Rows:
+        """Return torque of friction as in `torque`, for velocities that are larger by `shift`."""
+        functions = self._functions
+        return np.asarray(functions.friction(self.intervals, k, laws, q, turn, direction, shift))
+
+    def truncation(
+        self,
+        k: Coefficients,
+        laws: Laws,
+        q: Samples,
+        time: Float[np.ndarray, " samples"],
+        part: Int[np.ndarray, " samples"],
+        turn: Turns,
+        direction: Turns,
+    ) -> Rows:
+        """As of `AbstractEquations`, see `triangle_truncation`."""
+
+        def smooth(*motion: Any) -> Rows:
+            return self.smooth(k, *motion)
+
+        result, shift = triangle_truncation(smooth, q, time, part)
+        changed, unchanged = (
+            self.friction(k, laws, q, turn, direction, values) for values in (shift, 0.0 * shift)
+        )
+        return result + changed - unchanged
+
+    @cached_property
+    def _functions(self) -> MotionCode | TracedEquations:
+        return motion_code(self.network) or TracedEquations(self.network)
+
+
+def triangle_truncation(
+    smooth: Callable[[Rows, Rows, Rows], Rows],
+    q: Samples,
+    time: Float[np.ndarray, " samples"],
+    part: Int[np.ndarray, " samples"],
+) -> tuple[Rows, Rows]:
+    """Return the triangle's mean of smooth torque less what equations have for it, (equations, n),
+    and what is missing in the mean velocity of friction.
+
+    Torque of an equation is of one instant, but for the mean of acceleration: what means of
+    products leave out is of second order in the interval. Here all is of fourth order: velocity and
+    acceleration at the instant, from differences of differences, and the mean of the torques of
+    three instants as it is taken of recorded ones. It is as large as noise where torque is nearly
+    exact and samples are few, and unlike noise it moves coefficients the same way all along.
+
+    For positions as they are: a search takes it from one step to the next (deferred correction,
+    Pereyra 1968), which leaves the band as narrow as it is. Not for held torques, whose steps make
+    accelerations jump, and whose mean acceleration is exact.
+
+    **Arguments**
+
+    - `smooth`: torque of all terms but friction of position, velocity and acceleration.
+    - `q`: (samples, n); `time`: of the samples [s]; `part`: number of the recording of each.
+    """
+    result, shift = np.zeros((2, len(q) - 2, q.shape[1]))
+    for number in range(int(part[-1]) + 1):
+        samples = np.flatnonzero(part == number)
+        if len(samples) < _FEWEST:
+            continue
+        rows = slice(int(samples[0]), int(samples[-1]) - 1)
+        result[rows], shift[rows] = _of_recording(smooth, q[samples], time[samples])
+    return result, shift
+
+
+def _of_recording(
+    smooth: Callable[[Rows, Rows, Rows], Rows],
+    q: Samples,
+    time: Float[np.ndarray, " samples"],
+) -> tuple[Rows, Rows]:
+    """Return `triangle_truncation` of one recording."""
+    h = np.diff(time)[:, None]
+    before, after = h[:-1], h[1:]
+    middle = time[1:-1]
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        """Average with a triangle about each instant; the ends change as their neighbours."""
+        change = triangle_mean(middle, values) - values[1:-1]
+        return values + np.concatenate([change[:1], change, change[-1:]])
+
+    slope = np.diff(q, axis=0) / h
+    parabola = (after * slope[:-1] + before * slope[1:]) / (before + after)
+    mean_acceleration = 2.0 * np.diff(slope, axis=0) / (before + after)
+    acceleration = mean_acceleration
+    for _ in range(_ROUNDS):
+        acceleration = acceleration + mean_acceleration - mean(acceleration)
+    # A parabola's derivative errs by the third derivative times a sixth of both intervals.
+    velocity = parabola - before * after / 6.0 * np.gradient(acceleration, middle, axis=0)
+    torque = mean(smooth(q[1:-1], velocity, acceleration))
+    result = torque - smooth(q[1:-1], parabola, mean_acceleration)
+    # Friction is averaged over velocities on a line through the parabola's.
+    line = parabola + (after - before) / 3.0 * mean_acceleration
+    return result, mean(velocity) - line

@@ -1,0 +1,359 @@
+"""The estimator of maximum likelihood: its options, and what it fits."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._environment import require_float64
+from ..bodies import Prior
+from ..least_squares import ERRORS, Errors, Identification, Settings
+from ..network import CSLC
+from ..recordings import Recording
+from ._added_gears import near_transmission, transmission_search
+from ._likelihood_fit import LikelihoodFit, Misfit, likelihood_fit
+from ._point import Point
+from ._possible_bodies import possible_bodies
+from ._prior_values import check_prior
+from ._problem import LikelihoodProblem, SearchStart
+from ._search import Minimum, search
+from ._spacing import NoiseExcitation, SpacingChoice, excess_noise, spacing_for
+from ._start import starting_point
+from ._torque_record import TorqueSampling
+
+
+# A misfit is known well enough when the sum of squares falls by no more than this part in a step.
+_MISFIT_TOLERANCE = 1e-3
+
+
+class _Searched(NamedTuple):
+    """A problem, where its search started, where it ended, and noise that excites there."""
+
+    problem: LikelihoodProblem
+    first: SearchStart
+    minimum: Minimum
+    noise: NoiseExcitation
+
+    @classmethod
+    def of(
+        cls,
+        estimator: "MaximumLikelihood",
+        network: CSLC,
+        recordings: Sequence[Recording],
+        start: Identification | None,
+        every: int,
+        report: Callable[[str], None],
+    ) -> "_Searched":
+        """Search with positions at every so many samples."""
+        problem, first = estimator.start(network, recordings, start, every)
+        minimum = search(problem, *first, report)
+        noise = NoiseExcitation.of(network, minimum, first.point.q, every)
+        return cls(problem, first, minimum, noise)
+
+
+@dataclasses.dataclass(frozen=True)
+class MaximumLikelihood:
+    """Identification without a smoothing: positions and coefficients are estimated together.
+
+    Regression takes derivatives of smoothed positions as they are: what smoothing takes out of the
+    motion is a bias that more data do not average out. Here the true position at every sample is
+    an unknown beside the coefficients k,
+
+        minimise  Σ ((y - q - offset) / σ_q)² + Σ ((torque - ID(q, q', q''; k)) / σ_τ)²
+
+    with velocities and accelerations from differences of the unknown q, errors in variables
+    (Britt and Luecke 1973). The equations are banded in time and bordered by k; each Gauss-Newton
+    step eliminates the positions exactly, in memory and time that are linear in the recording.
+
+    - Friction is averaged over two intervals as the second difference averages acceleration, with
+      the moment of each reversal as an unknown. Which way a joint moves is fixed while a step is
+      judged, so that the objective is smooth.
+    - Noise of positions and of each joint's torque is estimated by marginal likelihood, from a
+      large value downwards; that of an encoder is at least that of its step, which is read off the
+      recording. An encoder's constant offset within a step is an unknown.
+    - Where the equations say much more of a motion than single counts do, a count is the interval
+      that it is: the position is within a step of it. The edges of these intervals say more than
+      counts with normally distributed errors would; elsewhere counts have such errors.
+    - Where a joint rests, friction has any value up to break-away: torque that it bears bounds
+      its coefficients (a censored observation), and its readings count as one. Equations far beyond
+      the noise count by size, not square (Huber).
+
+    Right where torque acts on rigid bodies. Compliance and backlash make errors that are neither
+    white nor small: see `every`, `transmission`, and `docs/likelihood.md`.
+
+    **Attributes**
+
+    - `torque_sampling`: `"held"`, a demand that acts until the next sample; or `"sampled"`.
+    - `settings`: of the regression that it starts from; None for the defaults of `Settings`.
+    - `resolution`: (n,) of the encoders [rad or m], 0 for none; read off the recording if None.
+    - `errors`: what standard errors allow for: `"independent"` residuals of the estimated levels
+      only, for which they are the Cramér-Rao bound; or `"correlated"` ones where a test says that
+      residuals are, as a model that lacks something leaves them.
+    - `every`: equations of motion hold over two times so many samples, and positions are unknown at
+      every so many; torque between them counts, readings do not. Two or more for arms whose
+      transmission vibrates: a rigid model is right below those frequencies only. `"auto"`: 1, and
+      3 where positions have more noise than readings explain; more where noise excites
+      (`NoiseExcitation`).
+    - `transmission`: joints, from 1, whose rotor and link are two bodies, with a spring, a damper
+      and play between them; readings are of rotors. Automatic spacing is then one sample.
+    - `prior`: values of coefficients that are known beforehand, with their errors, or fixed; with
+      `possible`, of links, too.
+    - `possible`: whether coefficients are those of possible bodies, near to the robot's where the
+      recording says nothing (`physical_parameters`), with positions that belong to them.
+    - `lengths`: (n,) of dry friction that yields before it slides [rad or m], such as those of
+      `fit_pre_sliding`; 0 where it follows the sign of velocity; of no joint if there are none.
+
+    **Raises** `ValueError`: a `torque_sampling`, `errors` or `every` that is none of these, bounds
+    in a prior, links without `possible`, or a transmission with `possible` or `lengths`.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(robot.with_friction("viscous"), lengths="numeric")
+    >>> t = np.arange(300)[:, None] * 0.01
+    >>> q, qd, qdd = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2]), q, qd, qdd))
+    >>> recording = jc.Recording(t[:, 0], q, torque)
+    >>> result = jc.MaximumLikelihood(torque_sampling="sampled").fit(network, recording)
+    >>> np.round(result.k, 3).tolist()
+    [0.5, 0.3, -0.1, 0.2]
+    """
+
+    torque_sampling: TorqueSampling = "held"
+    settings: Settings | None = None
+    resolution: tuple[float, ...] | None = None
+    errors: Errors = "correlated"
+    every: int | Literal["auto"] = "auto"
+    transmission: tuple[int, ...] = ()
+    prior: Prior | None = None
+    possible: bool = False
+    lengths: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.torque_sampling not in get_args(TorqueSampling):
+            raise ValueError(
+                f"torque_sampling {self.torque_sampling!r} is unknown; expected 'held' or 'sampled'"
+            )
+        if self.errors not in ERRORS:
+            raise ValueError(f"errors: expected {' or '.join(ERRORS)}, got {self.errors!r}")
+        if self.every != "auto" and self.every < 1:
+            raise ValueError(f"every: expected 1 or more or 'auto', got {self.every}")
+        for name, excluded in (("possible", self.possible), ("lengths", any(self.lengths))):
+            if self.transmission and excluded:
+                raise ValueError(f"transmission: not with {name}")
+        check_prior(self.prior, possible=self.possible)
+
+    def fit(
+        self,
+        network: CSLC,
+        recording: Recording | Sequence[Recording],
+        start: Identification | LikelihoodFit | None = None,
+        progress: Callable[[str], None] | None = None,
+    ) -> LikelihoodFit:
+        """Fit the most likely coefficients of a recording, or of several together.
+
+        **Arguments**
+
+        - `network`: n joints, p coefficients; without a payload.
+        - `recording`: at least ten samples. Velocities that it holds are not used. Each of several
+          has noise levels and encoder offsets of its own.
+        - `start`: coefficients to start from; by default those of a regression. Or a fit that is
+          near, with positions at the same samples, as of recordings that go on: its noise levels
+          are kept, and a few steps are enough.
+        - `progress`: is called with a few words at each step.
+
+        **Returns** a `LikelihoodFit`; look at `converged`.
+
+        **Raises**
+
+        - `ValueError`: recording and network differ in joints, the recording is too short, the
+          network has a payload or is too large, lengths not n or of joints without dry friction.
+        - `RuntimeError`: the regression that it starts from fails, or no bodies are possible.
+        - `ImportError`: with `possible`, without the conic solver (the extra `inertia`).
+        """
+        require_float64()
+        recordings = [recording] if isinstance(recording, Recording) else list(recording)
+        report = progress or (lambda words: None)
+        if isinstance(start, LikelihoodFit):
+            return self.as_of(start)._near(network, recordings, start, report)
+        every = 1 if self.every == "auto" else self.every
+        if self.transmission:
+            problem, first = self.start(network, recordings, start, every)
+            minimum = transmission_search(problem, first, self.transmission, report)
+            return self._fit(network, minimum, every)
+        searched, spacing = self._spaced(network, recordings, start, every, report)
+        problem, first, minimum, noise = searched
+        fit = self._fit(network, minimum, noise.every)
+        fit = dataclasses.replace(fit, spacing=spacing, noise_excitation=noise)
+        return self._with_bodies(network, problem, minimum, fit, first[1:], report)
+
+    def _spaced(
+        self,
+        network: CSLC,
+        recordings: Sequence[Recording],
+        start: Identification | None,
+        every: int,
+        report: Callable[[str], None],
+    ) -> tuple[_Searched, SpacingChoice | None]:
+        """Search with positions as far apart as they are to be, and say why if that is chosen."""
+        searched = _Searched.of(self, network, recordings, start, every, report)
+        if self.every != "auto":
+            return searched, None
+        excess = excess_noise(searched.problem, searched.minimum)
+        noisy: tuple[NoiseExcitation, ...] = ()
+        samples = min(recording.samples for recording in recordings)
+        wider: int | None = spacing_for(excess, samples)
+        while wider:
+            if wider > every:
+                every = wider
+                searched = _Searched.of(self, network, recordings, start, every, report)
+            wider = searched.noise.wider_spacing(samples)
+            noisy += (searched.noise,) if wider else ()
+        return searched, SpacingChoice(every, tuple(excess.tolist()), noisy)
+
+    def as_of(self, fit: LikelihoodFit) -> "MaximumLikelihood":
+        """Return the same with the spacing of a fit."""
+        return dataclasses.replace(self, every=fit.every)
+
+    def _near(
+        self,
+        network: CSLC,
+        recordings: Sequence[Recording],
+        near: LikelihoodFit,
+        report: Callable[[str], None],
+    ) -> LikelihoodFit:
+        """Fit near another fit, with its noise levels."""
+        problem, first = self.start(network, recordings, near.fit, near.every)
+        first = SearchStart(_point_near(first.point, near), near.torque_noise, near.position_noise)
+        edge = near.edge
+        if near.transmission is not None:
+            problem, first = near_transmission(problem, first, near.transmission)
+        minimum = search(
+            problem,
+            *first,
+            report,
+            fixed_levels=True,
+            edge=edge,
+            moments=near.reversal_moments,
+        )
+        fit = dataclasses.replace(
+            self._fit(network, minimum, near.every),
+            spacing=near.spacing,
+            noise_excitation=near.noise_excitation,
+        )
+        return self._with_bodies(network, problem, minimum, fit, None, report)
+
+    def _fit(self, network: CSLC, minimum: Minimum, every: int) -> LikelihoodFit:
+        return dataclasses.replace(likelihood_fit(network, minimum, self.errors), every=every)
+
+    def _with_bodies(
+        self,
+        network: CSLC,
+        problem: LikelihoodProblem,
+        minimum: Minimum,
+        fit: LikelihoodFit,
+        levels: tuple[np.ndarray, np.ndarray] | None,
+        report: Callable[[str], None],
+    ) -> LikelihoodFit:
+        """Return the fit, with possible bodies if they are asked for; `levels` are theirs."""
+        if not self.possible:
+            return fit
+        with_bodies = possible_bodies(
+            network,
+            problem,
+            minimum,
+            fit,
+            levels,
+            prior=self.prior,
+            errors=self.errors,
+            progress=report,
+        )
+        kept = {name: getattr(fit, name) for name in ("every", "spacing", "noise_excitation")}
+        return dataclasses.replace(with_bodies, **kept)
+
+    def misfit(
+        self,
+        network: CSLC,
+        recording: Recording | Sequence[Recording],
+        k: Float[Array | np.ndarray, " coefficients"],
+        torque_noise: Float[np.ndarray, " joints"],
+        position_noise: Float[np.ndarray, " joints"],
+        gears: LikelihoodFit | None = None,
+    ) -> Misfit:
+        """Return how well coefficients agree with recordings, without a smoothing of these.
+
+        Torque errors of smoothed motion are least for coefficients that make up for what smoothing
+        does: true ones lose. Here positions are estimated, for coefficients, slopes and noise
+        levels as they are, and what is left of torques and readings is looked at.
+
+        **Arguments**
+
+        - `network`: n joints, p coefficients, with its slopes of static friction.
+        - `recording`: as of `fit`.
+        - `k`: (p,) coefficients.
+        - `torque_noise`: (n,) standard deviations [N m or N].
+        - `position_noise`: (n,) [rad or m]; of encoders, at least that of their steps counts.
+        - `gears`: a fit whose gears hold; by default gears are rigid.
+
+        **Returns** a `Misfit`.
+
+        **Raises** as `fit`.
+        """
+        require_float64()
+        recordings = [recording] if isinstance(recording, Recording) else list(recording)
+        every = 1 if self.every == "auto" else self.every
+        problem, (point, residual, noise) = self.start(network, recordings, None, every)
+        slopes, encoders = network.static_slopes, problem.encoder_step > 0.0
+        point = point.with_values(
+            k=np.asarray(k, float),
+            slopes=point.slopes if slopes is None else np.log(np.asarray(slopes, float)),
+        )
+        noise = np.where(encoders, np.maximum(noise, position_noise), position_noise)
+        first = SearchStart(point, np.broadcast_to(torque_noise, residual.shape), noise)
+        if gears is not None and gears.transmission is not None:
+            problem, first = near_transmission(problem, first, gears.transmission)
+        others = (name for name, _ in problem.layout.sizes if name != "offset")
+        minimum = search(
+            problem.fixing(*others),
+            *first,
+            lambda words: None,
+            fixed_levels=True,
+            tolerance=_MISFIT_TOLERANCE,
+        )
+        return Misfit.of(minimum, problem.readings.part, problem.joints)
+
+    def start(
+        self,
+        network: CSLC,
+        recordings: Sequence[Recording],
+        start: Identification | None,
+        every: int,
+    ) -> tuple[LikelihoodProblem, SearchStart]:
+        """Return the problem, and where its search starts."""
+        return starting_point(
+            network,
+            recordings,
+            self.settings or Settings(),
+            self.torque_sampling,
+            None if self.resolution is None else np.array(self.resolution),
+            start,
+            self.prior,
+            every,
+            self.lengths,
+        )
+
+
+def _point_near(point: Point, fit: LikelihoodFit) -> Point:
+    """Return a point with the values of a fit that is near.
+
+    **Raises** `ValueError` if the fit's positions are at other samples than the point's.
+    """
+    if fit.position.shape != point.q.shape or fit.offset.shape != point.offset.shape:
+        raise ValueError(
+            f"start: its positions are {fit.position.shape} of {len(fit.offset)} recordings;"
+            f" expected {point.q.shape} of {len(point.offset)}"
+        )
+    slopes = np.log(fit.slopes) if fit.network.static_slopes is not None else point.slopes
+    values = point.with_values(k=np.asarray(fit.k), slopes=slopes, offset=fit.offset)
+    return dataclasses.replace(values, q=fit.position)

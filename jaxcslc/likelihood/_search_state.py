@@ -1,0 +1,306 @@
+"""What changes from step to step of a search."""
+
+import dataclasses
+import enum
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ._blocks import TURN, MotionBlock, PriorBlock, ReadingBlock, RestBlock, ReversalBlock
+from ._equations import AbstractEquations
+from ._levels import Levels
+from ._levenberg import DAMPING, LevenbergStep
+from ._objective import Objective
+from ._point import Point
+from ._problem import LikelihoodProblem
+from ._readings import Intervals
+from ._signs import Signs
+from ._sticking import Sticking, sticking_equations
+
+
+# Equations left uncertain on either side of a reversal, step by step; after these steps, reversals
+# are moments to be estimated.
+MARGINS = (4, 3, 2)
+# From this step on, a reversal that comes or goes is left uncertain.
+SIGN_STEPS = 7
+
+Mask = Bool[np.ndarray, "equations joints"]
+
+
+class Stage(enum.Enum):
+    """What follows the motion from step to step, beside signs.
+
+    - `LEVELS`: noise levels and weights of outliers, while readings are normally distributed.
+    - `COUNTS`: nothing, until steps are short: then counts become intervals where that says more.
+    - `INTERVALS`: edges of intervals, and the torque noise that these leave.
+    - `OUTLIERS`: weights of outliers, once, of a search that starts near its end.
+    - `FINAL`: nothing.
+    """
+
+    LEVELS = enum.auto()
+    COUNTS = enum.auto()
+    INTERVALS = enum.auto()
+    OUTLIERS = enum.auto()
+    FINAL = enum.auto()
+
+
+@dataclasses.dataclass(frozen=True)
+class SearchState:
+    """State of a search, which changes from step to step.
+
+    - `outlier_weight`: (equations, n) of equations far beyond the noise.
+    - `ambiguous`: (equations, n) of reversals that came and went.
+    - `undecided`: (equations, n) of joints with a common shaft that may turn either way.
+    - `stage`: what else changes.
+    - `moments`: (samples, n) of reversals to start from, NaN where they are not known; None if none
+      is.
+    - `refinements`: of the level of torque noise beside intervals.
+    - `of_friction`: the point whose friction says how uncertain friction is where its sign is, and
+      how large static friction may be; None: the present one.
+    - `truncation`: what equations leave out [N m or N]; None: what they do at the present point.
+    """
+
+    point: Point
+    signs: Signs | None
+    torque_noise: Levels
+    position_noise: Levels
+    outlier_weight: Float[np.ndarray, "equations joints"]
+    ambiguous: Mask
+    undecided: Mask
+    intervals: Intervals | None
+    damping: float
+    stage: Stage
+    refinements: int = 0
+    moments: Float[np.ndarray, "samples _"] | None = None
+    of_friction: Point | None = None
+    truncation: Float[np.ndarray, "equations series"] | float | None = None
+
+    @classmethod
+    def start(
+        cls,
+        problem: LikelihoodProblem,
+        point: Point,
+        torque_noise: Levels,
+        position_noise: Levels,
+        fixed: bool,
+        edge: Levels | None,
+        moments: Float[np.ndarray, "samples _"] | None,
+    ) -> "SearchState":
+        samples, n = problem.readings.position.shape
+        intervals = None if edge is None else intervals_of(problem, edge)
+        stage = Stage.LEVELS
+        if fixed:
+            stage = Stage.FINAL if edge is None else Stage.OUTLIERS
+        return cls(
+            point,
+            None,
+            np.maximum(torque_noise, problem.least_torque_noise),
+            position_noise,
+            np.ones((samples - 2, n)),
+            np.zeros((samples - 2, n), bool),
+            np.zeros((samples - 2, n), bool),
+            intervals,
+            DAMPING,
+            stage,
+            moments=moments,
+        )
+
+    def same_motion(self, other: "SearchState") -> bool:
+        """Return whether signs, and what is uncertain of them, are the other's.
+
+        Sums of squares are comparable only then.
+        """
+        return self.signs is other.signs and np.array_equal(self.undecided, other.undecided)
+
+
+def with_signs(
+    problem: LikelihoodProblem, state: SearchState, number: int
+) -> tuple[SearchState, bool]:
+    """Return the signs of the present motion, unless they are those of before, which is said.
+
+    A reversal between two samples belongs to the one that it was with. Of a reversal that comes and
+    goes, as next to a rest, and of one whose moment would leave its samples, as where a joint
+    breaks away, equations stay uncertain.
+    """
+    readings, before, point = problem.readings, state.signs, state.point
+    modelled = number >= len(MARGINS)
+    ambiguous = state.ambiguous
+    while True:
+        signs = Signs.of(
+            point.q[:, : problem.joints],
+            readings.time,
+            problem.stuck,
+            margin=MARGINS[min(number, len(MARGINS) - 1)],
+            modelled=modelled,
+            joined=readings.joined,
+            ambiguous=ambiguous,
+        )
+        if before is None and state.moments is not None:
+            unknown = signs.without_moments(state.moments) & ~ambiguous
+            if not unknown.any():
+                break
+            ambiguous = ambiguous | unknown
+            continue
+        if before is None or number <= len(MARGINS):
+            break
+        unmatched = signs.unmatched(before)
+        if number >= SIGN_STEPS:
+            unmatched |= before.at_bounds(point.turn)
+        if not unmatched.any():
+            return state, True
+        if number < SIGN_STEPS or np.all(ambiguous[unmatched]):
+            break
+        ambiguous = ambiguous | unmatched
+    if before is not None:
+        turn = signs.carried(before, point.turn)
+    elif state.moments is not None:
+        turn = signs.from_moments(state.moments)
+    else:
+        turn = signs.turn
+    point = dataclasses.replace(point, turn=turn)
+    return dataclasses.replace(state, signs=signs, point=point, ambiguous=ambiguous), False
+
+
+def intervals_of(problem: LikelihoodProblem, edge: Levels) -> Intervals | None:
+    """Return readings with edges of these widths; None if all are 0."""
+    if not edge.any():
+        return None
+    part = problem.readings.part
+    return Intervals(problem.reading_shares, problem.encoder_step[part], edge[part])
+
+
+# Standard deviation of friction that is anything up to break-away, and of a reversal's whose moment
+# is estimated, as parts of the break-away torque. Simulated: 0.003 to 0.006 for the latter.
+_UNCERTAIN, _REVERSAL = 0.6, 0.01
+# Huber's constant, in standard deviations: what is beyond counts by its size, not by its square.
+_OUTLIER = 4.0
+# A joint at rest moves by this part of its position noise from sample to sample.
+_REST = 0.02
+
+
+def objective_of(
+    problem: LikelihoodProblem, state: SearchState, number: int
+) -> tuple[Objective, Mask]:
+    """Return the sum of squares, and which equations have their full weight; `number`: of the
+    step."""
+    readings, signs, point = problem.readings, state.signs, state.point
+    assert signs is not None
+    of_equation, of_interval = readings.part[1:-1], readings.part[:-1]
+    equations = problem.equations.about(point.q, readings.time, readings.part)
+    scale = state.of_friction or point
+    breakaway = problem.breakaway(scale)
+    of_friction = _friction_variance(problem, equations, signs, point, breakaway)
+    weight = state.outlier_weight / (state.torque_noise[of_equation] ** 2 + of_friction)
+    without = problem.at_rest | state.undecided | readings.joined[:, None]
+    weight[without] = 0.0
+    others = equations.noise(state.torque_noise)[of_equation, problem.joints :] ** -2.0
+    others[readings.joined] = 0.0
+    left_out = state.truncation
+    if left_out is None:
+        left_out = _truncation(problem, equations, signs, point)
+    expected, known = problem.known(point, scale)
+    at_rest = 1.0 / (_REST * state.position_noise[of_interval]) ** 2
+    position_weight = problem.reading_shares / state.position_noise[readings.part] ** 2
+    weight = np.concatenate([weight, others], axis=1)
+    blocks = {
+        "torque": MotionBlock(equations, readings.torque, signs, weight, truncation=left_out),
+        "position": ReadingBlock(
+            readings.position, readings.part, position_weight, state.intervals
+        ),
+        "standstill": RestBlock(np.where(problem.stuck, at_rest, 0.0)),
+        "turn": ReversalBlock(signs.turn, np.full(len(signs.samples), TURN**-2)),
+        "border": PriorBlock(expected, known),
+        **problem.added,
+    }
+    objective = Objective(blocks, problem.scale)
+    if number >= len(MARGINS):
+        objective = _with_sticking(problem, state, objective)
+    return objective, (of_friction == 0.0) & ~without
+
+
+def _truncation(
+    problem: LikelihoodProblem, equations: AbstractEquations, signs: Signs, point: Point
+) -> Float[np.ndarray, "equations series"] | float:
+    """Return what equations of sampled torque leave out at present positions."""
+    readings = problem.readings
+    if readings.torque.sampling == "held":
+        return 0.0
+    motion = point.q, readings.time, readings.part, signs.turns(point.turn), signs.direction
+    return equations.truncation(point.k, point.laws, *motion)
+
+
+def _with_sticking(
+    problem: LikelihoodProblem, state: SearchState, objective: Objective
+) -> Objective:
+    """Add equations of joints that stick, which bound friction at break-away.
+
+    Not of joints whose friction has a state, which bears what it does where they rest. Nor where
+    all coefficients are fixed, of which alone bounds say something: wrong ones would draw positions
+    to where friction bears what they make of the torque.
+    """
+    point, breakaway = state.point, problem.breakaway(state.point)
+    fixed = not problem.scale[: len(point.k)].any()
+    if fixed or not problem.at_rest.any():
+        return objective
+    part, motion, n = problem.readings.part, objective.motion, problem.joints
+    signs = motion.signs
+    friction = motion.residuals(point)[:, :n] + signs.direction * breakaway
+    mask = sticking_equations(problem.at_rest, friction, breakaway) & (
+        problem.equations.lengths == 0.0
+    )
+    mask &= ~problem.readings.joined[:, None]
+    if not mask.any():
+        return objective
+    direction = np.where(mask, np.where(friction < 0.0, -1.0, 1.0), signs.direction)
+    mask, direction_of_all = (
+        np.concatenate([values, np.zeros((len(mask), motion.weight.shape[1] - n))], axis=1)
+        for values in (mask, direction)
+    )
+    noise = motion.equations.noise(state.torque_noise)[part[1:-1]]
+    return objective.with_blocks(
+        torque=dataclasses.replace(
+            motion,
+            signs=dataclasses.replace(signs, direction=direction),
+            sticking=Sticking(mask.astype(bool), direction_of_all, noise),
+        )
+    )
+
+
+def _friction_variance(
+    problem: LikelihoodProblem,
+    equations: AbstractEquations,
+    signs: Signs,
+    point: Point,
+    breakaway: Float[np.ndarray, " joints"],
+) -> Float[np.ndarray, "equations joints"]:
+    """Return variance of friction that signs do not tell, and of states at the start of a
+    recording."""
+    sizes, unknown = equations.states(point.k)
+    of_states = (_UNCERTAIN * sizes * unknown) ** 2
+    breakaway = np.maximum(breakaway - sizes, 0.0)
+    extra = np.where(signs.uncertain, (_UNCERTAIN * breakaway) ** 2, 0.0)
+    for offset in (-1, 0, 1):
+        extra[signs.samples - 1 + offset, signs.joints] = (_REVERSAL * breakaway[signs.joints]) ** 2
+    return extra + of_states
+
+
+def outlier_weights(
+    problem: LikelihoodProblem, state: SearchState, step: LevenbergStep, counted: Mask
+) -> Float[np.ndarray, "equations joints"]:
+    """Return Huber's weights of a step's residuals.
+
+    Uncertain friction is within break-away; what pushes a joint at its limit is not.
+    """
+    linear = step.minimum.linear
+    motion, noise = linear.objective.motion, state.torque_noise[problem.readings.part[1:-1]]
+    signs = motion.signs
+    breakaway = problem.breakaway(step.point)
+    of_friction = _friction_variance(problem, motion.equations, signs, step.point, breakaway)
+    extra = np.where(signs.uncertain, of_friction, 0.0)
+    deviation = np.sqrt(noise**2 + extra)
+    weight, residual = (
+        values["torque"][:, : problem.joints] for values in (linear.weights, step.residuals)
+    )
+    robust = (counted | (extra > 0.0)) & (weight > 0.0)
+    size = np.maximum(np.abs(residual), 1e-300)
+    return np.where(robust, np.minimum(1.0, _OUTLIER * deviation / size), 1.0)

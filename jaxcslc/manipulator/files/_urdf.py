@@ -1,0 +1,278 @@
+"""URDF itself: checks of the tree, joint limits, mimic laws, and what is left out before reading.
+
+MuJoCo reads the rest; see `_mujoco_reader`.
+"""
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from .._errors import RobotError
+from .._source import JointLimits, Mimic
+from ._xml import Element
+
+
+XACRO = "is for xacro; expected a URDF without macros, as `xacro FILE.xacro > FILE.urdf` writes it"
+
+_READ = ("link", "joint", "inertial", "origin", "mass", "inertia", "axis", "mimic", "dynamics")
+_KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+
+
+def check_urdf(root: Element, path: Path) -> None:
+    """Check that a URDF's links and joints are one tree.
+
+    **Raises**
+
+    - `RobotError`: for cycles, loops, several trees, names that are missing or used twice, and
+      macros of xacro.
+    """
+    _check_no_macros(root, path)
+    links = _named(root.all("link"), path)
+    joints = _named(root.all("joint"), path)
+    carried_by: dict[str, str] = {}  # joint that carries each link
+    parents: dict[str, str] = {}
+    for name, joint in joints.items():
+        at = f"{path}, line {joint.line}, joint {name!r}"
+        kind = joint.attributes.get("type", "")
+        if kind not in _KINDS:
+            raise RobotError(f"{at}: expected a type out of {', '.join(_KINDS)}, got {kind!r}")
+        for tag in ("parent", "child", "origin", "axis"):
+            if (count := len(joint.all(tag))) > 1:
+                raise RobotError(f"{at}: has {count} elements <{tag}>; expected one")
+        ends: dict[str, str] = {}
+        for end in ("parent", "child"):
+            ends[end] = _end(joint, end)
+            if ends[end] not in links:
+                raise RobotError(f"{at}: its {end} {ends[end]!r} is no link of this file")
+        child = ends["child"]
+        if child in carried_by:
+            raise RobotError(
+                f"{at}: carries link {child!r}, which joint {carried_by[child]!r} carries too:"
+                " closed loops are not modelled"
+            )
+        carried_by[child], parents[child] = name, ends["parent"]
+    roots = [name for name in links if name not in parents]
+    if links and not roots:
+        raise RobotError(f"{path}: its joints form a cycle: no link is the base of the others")
+    if len(roots) > 1:
+        raise RobotError(
+            f"{path}: expected one tree, but no joint carries {' or '.join(map(repr, roots[:4]))}"
+        )
+    reached: set[str] = set(roots)
+    for name in links:  # every link's way down must end at the root
+        way: set[str] = set()
+        while name not in reached:
+            if name in way:
+                raise RobotError(
+                    f"{path}: joint {carried_by[name]!r} is part of a cycle: its link {name!r}"
+                    " carries itself"
+                )
+            way.add(name)
+            name = parents[name]
+        reached |= way
+    for name, joint in joints.items():
+        kind = joint.attributes["type"]
+        if kind in ("planar", "floating") and (parent := _end(joint, "parent")) not in roots:
+            raise RobotError(
+                f"{path}, line {joint.line}, joint {name!r}: is {kind}, and is carried by"
+                f" {parent!r}; only revolute and prismatic joints are modelled"
+            )
+
+
+def _end(joint: Element, end: str) -> str:
+    """Name of a joint's parent or child."""
+    element = joint.first(end)
+    return element.attributes.get("link", "") if element else ""
+
+
+def _check_no_macros(root: Element, path: Path) -> None:
+    """Check that there are no elements of xacro: what they stand for would be ignored."""
+    elements = [root]
+    while elements:
+        element = elements.pop()
+        values = element.attributes.values()
+        if element.tag.startswith("xacro:") or any("${" in x or "$(" in x for x in values):
+            raise RobotError(f"{path}, line {element.line}: <{element.tag}> {XACRO}")
+        elements += [child for child in element.children if child.tag in _READ or ":" in child.tag]
+
+
+def urdf_mimics(root: Element, path: Path) -> list[tuple[str, str]]:
+    """Joints of a URDF that mimic others, each with the other.
+
+    **Raises**
+
+    - `RobotError`: for one that mimics itself, over others or not.
+    """
+    leaders = {
+        joint.attributes["name"]: mimic.attributes.get("joint", "")
+        for joint in root.all("joint")
+        if (mimic := joint.first("mimic")) is not None and joint.attributes["type"] != "fixed"
+    }
+    for name, leader in leaders.items():
+        way = {name}
+        while leader in leaders:
+            if leader in way:
+                raise RobotError(
+                    f"{path}: joint {name!r} mimics {leaders[name]!r}, and so in the end itself"
+                )
+            way.add(leader)
+            leader = leaders[leader]
+    return list(leaders.items())
+
+
+def urdf_mimic_laws(root: Element, path: Path) -> Iterator[Mimic]:
+    """The laws by which joints of a URDF follow others.
+
+    **Raises**
+
+    - `RobotError`: for a multiplier or offset that is no finite number.
+    """
+    for joint in root.all("joint"):
+        mimic = joint.first("mimic")
+        if mimic is None:
+            continue
+        name = joint.attributes["name"]
+        numbers: list[float] = []
+        for attribute, usual in (("multiplier", 1.0), ("offset", 0.0)):
+            text = mimic.attributes.get(attribute)
+            number = usual if text is None else _number(text)
+            if number is None:
+                raise RobotError(
+                    f"{path}, line {mimic.line}, joint {name!r}: expected a finite number for the"
+                    f" {attribute} of <mimic>, got {text!r}"
+                )
+            numbers.append(number)
+        yield Mimic(name, mimic.attributes.get("joint", ""), *numbers)
+
+
+def urdf_limits(root: Element) -> dict[str, JointLimits]:
+    """The limits of a URDF's joints, by name; numbers that are none are left out.
+
+    Lower and upper limits of zero, as some exporters write for joints without limits, are none.
+    """
+    limits: dict[str, JointLimits] = {}
+    for joint in root.all("joint"):
+        element = joint.first("limit")
+        if element is None:
+            continue
+        low, high, speed, torque = (
+            _number(element.attributes.get(name))
+            for name in ("lower", "upper", "velocity", "effort")
+        )
+        revolves = joint.attributes.get("type") == "continuous" or low == high
+        limits[joint.attributes.get("name", "")] = JointLimits(
+            low=-math.inf if revolves or low is None else low,
+            high=math.inf if revolves or high is None else high,
+            speed=speed or math.inf,
+            torque=torque or math.inf,
+        )
+    return limits
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        value = float(text or "")
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _named(elements: list[Element], path: Path) -> dict[str, Element]:
+    named: dict[str, Element] = {}
+    for element in elements:
+        at, name = f"{path}, line {element.line}", element.attributes.get("name", "")
+        if not name:
+            raise RobotError(f"{at}: a {element.tag} has no name")
+        if name in named:
+            raise RobotError(
+                f"{at}: {element.tag} {name!r} is named twice, first on line {named[name].line}"
+            )
+        named[name] = element
+    return named
+
+
+_TYPE = re.compile(rb"""(?<=\s)type\s*=\s*("[^"]*"|'[^']*')""")
+_ONCE = ("origin", "mass", "inertia")
+_FLOATING = ("floating", "planar")
+
+
+class Edit(NamedTuple):
+    """Part of a URDF that is left out before it is read, with a note for the user.
+
+    **Attributes**
+
+    - `start`, `end`: bytes of the file, from "<" to behind ">".
+    - `line`: on which it starts.
+    - `note`: None if it is nothing that a user of the result needs to know.
+    - `fixed`: the element is a joint that becomes a fixed one, and stays.
+    """
+
+    start: int
+    end: int
+    line: int
+    note: str | None = None
+    fixed: bool = False
+
+
+def simplifications(root: Element) -> list[Edit]:
+    """Return the parts to leave out of a URDF that `check_urdf` has checked, in order.
+
+    Geometry, which is not read; repeated numbers of an inertia, of which the first are taken;
+    joints by which the whole robot floats, which become fixed ones.
+    """
+    children = {child.attributes.get("link") for child in _ends(root, "child")}
+    base = {name for link in root.all("link") if (name := link.attributes["name"]) not in children}
+    edits = [edit for link in root.all("link") for edit in _in_link(link)]
+    for joint in root.all("joint"):
+        kind, parent, child = joint.attributes.get("type"), *map(joint.first, ("parent", "child"))
+        if kind in _FLOATING and parent and child and parent.attributes.get("link") in base:
+            note = (
+                f"joint {joint.attributes['name']!r} is {kind}: link"
+                f" {child.attributes['link']!r} is taken as fixed to the base"
+            )
+            edits.append(Edit(joint.start, joint.end, joint.line, note, fixed=True))
+    return sorted(edits)
+
+
+def simplified(text: bytes, edits: Sequence[Edit]) -> bytes:
+    """The text after these edits; lines keep their numbers."""
+    parts: list[bytes] = []
+    position = 0
+    for edit in edits:
+        element = text[edit.start : edit.end]
+        kept = _TYPE.sub(b'type="fixed"', element, count=1) if edit.fixed else _lines(element)
+        parts += [text[position : edit.start], kept]
+        position = edit.end
+    return b"".join([*parts, text[position:]])
+
+
+def _lines(element: bytes) -> bytes:
+    return b"\n" * element.count(b"\n")
+
+
+def _ends(root: Element, end: str) -> Iterator[Element]:
+    for joint in root.all("joint"):
+        element = joint.first(end)
+        if element is not None:
+            yield element
+
+
+def _in_link(link: Element) -> Iterator[Edit]:
+    for element in (*link.all("visual"), *link.all("collision")):
+        yield Edit(element.start, element.end, element.line)
+    first, *others = [*link.all("inertial"), None]
+    name = link.attributes["name"]
+    for element in others:
+        if element is not None:
+            yield _repeated(element, f"link {name!r}")
+    if first is not None:
+        for tag in _ONCE:
+            for element in first.all(tag)[1:]:
+                yield _repeated(element, f"the inertial of link {name!r}")
+
+
+def _repeated(element: Element, where: str) -> Edit:
+    note = f"<{element.tag}> is repeated in {where}; the first one is taken"
+    return Edit(element.start, element.end, element.line, note)

@@ -1,0 +1,168 @@
+"""Recordings of motion and torque, and their preparation for a fit.
+
+`load_recording` reads a file. `prepare` and `Preparation` turn the recording into `Patterns`:
+smoothed motion, torque, and masks of joint-and-sample pairs.
+
+     file --> Recording --> clock ------> smoothing ---> masks ----> Patterns --> fits
+              (files)       (times of     (q, qd, qdd)   (backlash,
+                            q, torque)                    slow pairs)
+
+Modules, in reading order:
+
+- `files`: readers and writers of recording files.
+- `_recording`: the recording, and faults that none may have.
+- `_sampling`: interval, encoder resolution and noise of a recording.
+- `_clock`: times of samples, resampling, and the torque that belongs to a sample.
+- `_smoothing`, `_splines`, `_filters`: smoothing and differentiation.
+- `_low_pass`: zero-phase filters, and the filtering of whole equations.
+- `_reversals`, `_cubic_spline`: parts of the splines.
+- `_masks`, `_residual_thresholds`: pairs that a fit leaves out.
+- `_preparation`, `_patterns`: settings, and their result.
+"""
+
+from ._clock import (
+    TorqueAlignment as TorqueAlignment,
+    align_torque as align_torque,
+    resample as resample,
+    restore_clock as restore_clock,
+    uniform_interval as uniform_interval,
+)
+from ._filters import (
+    Butterworth as Butterworth,
+    CentralDifferences as CentralDifferences,
+    SavitzkyGolay as SavitzkyGolay,
+)
+from ._low_pass import (
+    FilteredEquations as FilteredEquations,
+    decimated_low_pass as decimated_low_pass,
+    decimation_for as decimation_for,
+    parallel_filter as parallel_filter,
+    zero_phase as zero_phase,
+)
+from ._masks import (
+    at_rest as at_rest,
+    away_from_reversals as away_from_reversals,
+    directions_beside as directions_beside,
+    friction_mask as friction_mask,
+    friction_thresholds as friction_thresholds,
+    possible_backlash as possible_backlash,
+    static_fractions as static_fractions,
+)
+from ._patterns import Patterns as Patterns, joined_patterns as joined_patterns
+from ._preparation import (
+    DEFAULT_THRESHOLD_FRACTION as DEFAULT_THRESHOLD_FRACTION,
+    Preparation as Preparation,
+    VelocitySource as VelocitySource,
+    as_recorded as as_recorded,
+    prepare as prepare,
+)
+from ._recording import (
+    MINIMUM_SAMPLES as MINIMUM_SAMPLES,
+    Fault as Fault,
+    Recording as Recording,
+    RecordingError as RecordingError,
+    as_columns as as_columns,
+    column_names as column_names,
+    first_fault as first_fault,
+    fresh_rows as fresh_rows,
+    stale_rows as stale_rows,
+    without_stale_rows as without_stale_rows,
+)
+from ._residual_thresholds import (
+    FrictionThresholds as FrictionThresholds,
+    thresholds_from_residuals as thresholds_from_residuals,
+)
+from ._reversals import Reversal as Reversal, find_reversals as find_reversals
+from ._sampling import (
+    Sampling as Sampling,
+    encoder_resolution as encoder_resolution,
+    noise_level as noise_level,
+    sixth_differences as sixth_differences,
+)
+from ._smoothing import (
+    AbstractSmoothing as AbstractSmoothing,
+    Derivatives as Derivatives,
+    register_smoothing as register_smoothing,
+    smoothing_document as smoothing_document,
+    smoothing_from as smoothing_from,
+    without_rounding as without_rounding,
+)
+from ._splines import (
+    AveragedSplines as AveragedSplines,
+    choose_spacing as choose_spacing,
+    left_out_error as left_out_error,
+)
+from .files import (
+    ColumnMapping as ColumnMapping,
+    RecordingChunk as RecordingChunk,
+    iterate_recording as iterate_recording,
+    load_columns as load_columns,
+    load_recording as load_recording,
+    load_recordings as load_recordings,
+    save_recording as save_recording,
+)
+
+
+__all__ = [
+    "DEFAULT_THRESHOLD_FRACTION",
+    "MINIMUM_SAMPLES",
+    "AbstractSmoothing",
+    "AveragedSplines",
+    "Butterworth",
+    "CentralDifferences",
+    "ColumnMapping",
+    "Derivatives",
+    "Fault",
+    "FilteredEquations",
+    "FrictionThresholds",
+    "Patterns",
+    "Preparation",
+    "Recording",
+    "RecordingChunk",
+    "RecordingError",
+    "Reversal",
+    "Sampling",
+    "SavitzkyGolay",
+    "TorqueAlignment",
+    "VelocitySource",
+    "align_torque",
+    "as_columns",
+    "as_recorded",
+    "at_rest",
+    "away_from_reversals",
+    "choose_spacing",
+    "column_names",
+    "decimated_low_pass",
+    "decimation_for",
+    "directions_beside",
+    "encoder_resolution",
+    "find_reversals",
+    "first_fault",
+    "fresh_rows",
+    "friction_mask",
+    "friction_thresholds",
+    "iterate_recording",
+    "joined_patterns",
+    "left_out_error",
+    "load_columns",
+    "load_recording",
+    "load_recordings",
+    "noise_level",
+    "parallel_filter",
+    "possible_backlash",
+    "prepare",
+    "register_smoothing",
+    "resample",
+    "restore_clock",
+    "save_recording",
+    "sixth_differences",
+    "smoothing_document",
+    "smoothing_from",
+    "stale_rows",
+    "static_fractions",
+    "thresholds_from_residuals",
+    "uniform_interval",
+    "without_rounding",
+    "without_stale_rows",
+    "zero_phase",
+]

@@ -1,0 +1,287 @@
+"""Masks of joint-and-sample pairs: backlash, slow motion, reversals, and joints at rest.
+
+The thesis leaves out pairs in backlash (Eqn 2.5-7) and slow pairs (Section 7.2.2).
+`_residual_thresholds` finds the speeds from a fit's residuals.
+"""
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .._environment import array_namespace
+
+
+Thresholds: TypeAlias = float | int | Sequence[float | int] | Float[np.ndarray, " joints"]
+"""Velocities below which static friction matters: one for each joint, or one for all."""
+
+STATIC_FRICTION_PART = 0.1
+"""What is left of a threshold fraction for a joint with a term of static friction: such pairs
+determine the term. Slower ones, at which the joint may be at rest, determine nothing."""
+
+
+def possible_backlash(
+    qd: Float[np.ndarray, "*batch joints"],
+    qdd: Float[np.ndarray, "*batch joints"],
+    torque: Float[np.ndarray, "*batch joints"],
+) -> Bool[np.ndarray, "*batch joints"]:
+    r"""Mark the joint-and-sample pairs at which a transmission may be in backlash.
+
+    $\operatorname{sgn}\tau_i = \operatorname{sgn}\dot q_i$ and
+    $\operatorname{sgn}\tau_i = \operatorname{sgn}\ddot q_i$ (thesis, Eqn 2.5-7): a free motor is
+    pushed the way it moves and speeds up.
+
+    The thesis holds that this includes every occurrence of backlash. On simulated PUMA 560s whose
+    gears are known it left out about half of the pairs with gears apart and half of the others,
+    and fits were worse for it (`scripts/studies/disturbances/budget.py`): choosing pairs by the
+    sign of the torque biases a fit.
+
+    Backlash is decoupled, so a pair says nothing of the other joints of its sample.
+
+    **Arguments**
+
+    - `qd`, `qdd`: velocities and accelerations, shape `(..., joints)`.
+    - `torque`: torques, shape `(..., joints)`.
+
+    **Returns**
+
+    True where backlash is possible, shape `(..., joints)`. Where velocity, acceleration or
+    torque is exactly zero, a sign is *missing* rather than shared by the other two: the
+    magnitude is below what the recording resolves and the true sign may be either. A missing
+    sign counts as agreeing with the others, so that the mask still includes every occurrence.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import possible_backlash
+    >>> torque = np.array([1.0, 1.0, -1.0, 1.0])
+    >>> qd = np.array([0.5, -0.5, -0.5, 0.5])
+    >>> qdd = np.array([2.0, 2.0, -2.0, -2.0])
+    >>> possible_backlash(qd, qdd, torque).tolist()
+    [True, False, True, False]
+    """
+    with_velocity = np.sign(torque) * np.sign(qd) >= 0
+    with_acceleration = np.sign(torque) * np.sign(qdd) >= 0
+    # A zero torque has lost its sign, but that of the motion is still to agree with itself.
+    same_direction = np.sign(qd) * np.sign(qdd) >= 0
+    return with_velocity & with_acceleration & same_direction
+
+
+def friction_thresholds(
+    qd: Float[np.ndarray, "samples joints"], fraction: float | tuple[float, ...]
+) -> Float[np.ndarray, " joints"]:
+    """Velocities below which static friction is taken to matter, joint by joint.
+
+    The thesis starts from one hundredth of each joint's greatest velocity in the training
+    recording (Section 7.5) and sharpens it once the friction can be seen (Appendix B.6).
+
+    **Arguments**
+
+    - `qd`: velocities, shape `(samples, joints)` [rad/s or m/s].
+    - `fraction`: of each joint's greatest speed; one for all joints or one for each.
+
+    **Returns**
+
+    The thresholds, shape `(joints,)` [rad/s or m/s].
+
+    **Raises**
+
+    - `ValueError`: a fraction below 0 or not below 1, or a wrong number of them.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import friction_thresholds
+    >>> friction_thresholds(np.array([[0.5, -1.0], [-2.0, 0.25]]), 0.01).tolist()
+    [0.02, 0.01]
+    """
+    fractions, joints = np.asarray(fraction, dtype=np.float64), qd.shape[1]
+    if fractions.shape not in ((), (joints,)):
+        raise ValueError(
+            f"{fractions.size} threshold fractions for {joints} joints; expected one, or one for"
+            " each joint"
+        )
+    if not np.all((fractions >= 0.0) & (fractions < 1.0)):
+        raise ValueError(f"threshold fraction is {fraction}; expected at least 0 and below 1")
+    return fractions * np.max(np.abs(qd), axis=0)
+
+
+def static_fractions(fraction: float, joints: Sequence[bool]) -> float | tuple[float, ...]:
+    """Threshold fractions of joints, smaller where a term of static friction explains slow pairs.
+
+    **Arguments**
+
+    - `fraction`: of joints without such a term.
+    - `joints`: True for each joint with one.
+
+    **Returns**
+
+    One fraction a joint, or `fraction` itself if no joint has such a term.
+
+    >>> from jaxcslc.recordings import static_fractions
+    >>> static_fractions(0.1, [True, False])
+    (0.01, 0.1)
+    """
+    if not any(joints):
+        return fraction
+    # Rounded, so that 0.3 % is 0.003.
+    slower = round(STATIC_FRICTION_PART * fraction, 12)
+    return tuple(slower if static else fraction for static in joints)
+
+
+def friction_mask(
+    qd: Float[np.ndarray, "samples joints"], thresholds: Thresholds
+) -> Bool[np.ndarray, "samples joints"]:
+    """Mark the joint-and-sample pairs that move too fast for static friction (Section 7.2.2).
+
+    **Arguments**
+
+    - `qd`: velocities, shape `(samples, joints)` [rad/s or m/s].
+    - `thresholds`: one for each joint, shape `(joints,)`, or one for all [rad/s or m/s].
+
+    **Returns**
+
+    True where `|qd| > threshold`, shape `(samples, joints)`. A joint that does not move never
+    slides, whatever its threshold.
+
+    **Raises**
+
+    - `ValueError`: a threshold that is negative or no number, or a wrong number of them.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import friction_mask
+    >>> friction_mask(np.array([[0.5, -0.01], [0.0, 0.3]]), [0.1, 0.1]).tolist()
+    [[True, False], [False, True]]
+    """
+    limits = np.asarray(thresholds, dtype=np.float64)
+    joints = qd.shape[1]
+    if limits.shape not in ((), (joints,)):
+        raise ValueError(
+            f"friction thresholds have shape {limits.shape}; expected one number, "
+            f"or one for each of the {joints} joints"
+        )
+    if not np.all(limits >= 0.0):
+        raise ValueError(f"friction thresholds are {limits.tolist()}; expected none below 0")
+    return np.abs(qd) > limits
+
+
+def away_from_reversals(
+    qd: Float[np.ndarray, "samples joints"], margin: int
+) -> Bool[np.ndarray, "samples joints"]:
+    """Mark the joint-and-sample pairs further than a margin from every velocity reversal.
+
+    Smoothing spreads the jump that friction puts into an acceleration over about its own
+    width, further than a velocity threshold reaches where a joint turns quickly.
+
+    **Arguments**
+
+    - `qd`: velocities, shape `(samples, joints)`.
+    - `margin`: how many samples on either side of a reversal are left out; 0 leaves none out.
+
+    **Returns**
+
+    False for the samples around each change of sign, shape `(samples, joints)`. Zero
+    velocities between two signs belong to the reversal; standing still between two motions the
+    same way is none.
+
+    **Raises**
+
+    - `ValueError`: a negative margin.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import away_from_reversals
+    >>> qd = np.array([3.0, 2.0, 1.0, 0.0, -1.0, -2.0, -3.0])[:, None]
+    >>> away_from_reversals(qd, 2)[:, 0].tolist()
+    [True, False, False, False, False, False, True]
+    """
+    if margin < 0:
+        raise ValueError(f"reversal margin is {margin} samples; expected 0 or more")
+    away = np.ones(qd.shape, dtype=bool)
+    if margin == 0:
+        return away
+    for joint, velocity in enumerate(qd.T):
+        moving = np.flatnonzero(velocity)
+        turns = np.flatnonzero(np.diff(np.sign(velocity[moving])))
+        for last, first in zip(moving[turns], moving[turns + 1], strict=True):
+            away[max(last - margin + 1, 0) : first + margin, joint] = False
+    return away
+
+
+Velocities = Float[Array | np.ndarray, "samples joints"]
+
+# A joint that is slower than this part of its greatest speed, for so many samples, is at rest.
+# Encoder noise and the creep of a position controller are there; a joint that turns back passes
+# through in less than a sample.
+_REST_FRACTION, _REST_SAMPLES = 1e-4, 5
+
+
+def at_rest(qd: Velocities) -> Bool[Array | np.ndarray, "samples joints"]:
+    """Mark the joint-and-sample pairs of joints that stand still.
+
+    **Arguments**
+
+    - `qd`: velocities in order of time, shape `(samples, joints)` [rad/s or m/s].
+
+    **Returns**
+
+    True where a joint is slower than 1e-4 of its greatest speed for five samples at least, shape
+    `(samples, joints)`. A joint that never moves is not marked.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import at_rest
+    >>> qd = np.array([1.0, 1e-6, 0.5, 0.0, 1e-6, -1e-6, 0.0, 1e-6])[:, None]
+    >>> at_rest(qd)[:, 0].tolist()
+    [False, False, False, True, True, True, True, True]
+    """
+    xp = array_namespace(qd)
+    samples = qd.shape[0]
+    if samples < _REST_SAMPLES:
+        return xp.zeros(qd.shape, bool)
+    slow = xp.abs(qd) < _REST_FRACTION * xp.max(xp.abs(qd), axis=0, keepdims=True)
+    starts = samples - _REST_SAMPLES + 1
+    lasting = xp.ones((starts, qd.shape[1]), bool)
+    for shift in range(_REST_SAMPLES):
+        lasting = lasting & slow[shift : shift + starts]
+    # Every sample of a run that is long enough, not only the first ones.
+    padded = xp.pad(lasting, ((_REST_SAMPLES - 1, _REST_SAMPLES - 1), (0, 0)))
+    still = xp.zeros(qd.shape, bool)
+    for shift in range(_REST_SAMPLES):
+        still = still | padded[shift : shift + samples]
+    return still
+
+
+def directions_beside(
+    qd: Velocities, still: Bool[Array | np.ndarray, "samples joints"]
+) -> tuple[
+    Float[Array | np.ndarray, "samples joints"], Float[Array | np.ndarray, "samples joints"]
+]:
+    """Find the direction of each joint before it stands still, and afterwards.
+
+    **Arguments**
+
+    - `qd`: velocities in order of time, shape `(samples, joints)` [rad/s or m/s].
+    - `still`: where joints stand still, as of `at_rest`.
+
+    **Returns**
+
+    The signs of the last velocity before and of the first one after, outside `still`, shape
+    `(samples, joints)` each; 0 where there is none. Outside `still` both are the sign of the
+    velocity itself.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import directions_beside
+    >>> qd = np.array([0.0, -1.0, 1e-6, 1e-6, 2.0])[:, None]
+    >>> before, after = directions_beside(qd, np.abs(qd) < 1e-3)
+    >>> before[:, 0].tolist(), after[:, 0].tolist()
+    ([0.0, -1.0, -1.0, -1.0, 1.0], [-1.0, -1.0, 1.0, 1.0, 1.0])
+    """
+    return _before(qd, still), _before(qd[::-1], still[::-1])[::-1]
+
+
+def _before(
+    qd: Velocities, still: Bool[Array | np.ndarray, "samples joints"]
+) -> Float[Array | np.ndarray, "samples joints"]:
+    xp = array_namespace(qd, still)
+    index = xp.where(still, -1, xp.arange(qd.shape[0])[:, None])
+    last = np.maximum.accumulate(index) if xp is np else jax.lax.cummax(jnp.asarray(index))
+    before = xp.take_along_axis(qd, xp.maximum(last, 0), axis=0)
+    return xp.where(last < 0, 0.0, xp.sign(before))

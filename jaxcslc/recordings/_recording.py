@@ -1,0 +1,396 @@
+"""Recording of a moving manipulator, and checks that every way into one passes.
+
+Stale rows, which repeat the row before, are found and removed here.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
+
+
+MINIMUM_SAMPLES = 5
+"""Fewest samples a recording may hold: two central differences (Eqn 7.2-2) span five."""
+
+
+LARGEST_VALUE = 1e30
+"""No clock and no joint shows more, in any unit; products of such numbers do not overflow."""
+
+
+class RecordingError(ValueError):
+    """A recording, or the file that should hold one, that cannot be used.
+
+    The message is one line: what is wrong, where, and what was expected.
+
+    >>> from jaxcslc.recordings import RecordingError
+    >>> issubclass(RecordingError, ValueError)
+    True
+    """
+
+
+@dataclasses.dataclass(frozen=True)
+class Fault:
+    """The first thing that is wrong with a table of samples.
+
+    `row` counts from 0 within the table that was looked at; `None` stands for the whole table,
+    and a `column` of `None` for the whole row.
+    """
+
+    row: int | None
+    column: str | None
+    problem: str
+
+
+def first_fault(
+    columns: Mapping[str, Float[np.ndarray, " rows"]],
+    before: Mapping[str, float] | None = None,
+) -> Fault | None:
+    """Look for the earliest row that no recording may hold.
+
+    Every way into a recording, from arrays, from a file and chunk by chunk, comes through here.
+
+    **Arguments**
+
+    - `columns`: the columns by name, `time` among them.
+    - `before`: the row before the first, where the table continues another one.
+
+    **Returns**
+
+    The fault, or `None`. A cell that is not finite is named before an order of times that such a
+    cell would make meaningless.
+    """
+    time = columns["time"]
+    fault: Fault | None = None
+    for name, values in columns.items():
+        bad = ~(np.abs(values) <= LARGEST_VALUE)
+        if bad.any():
+            row = int(np.argmax(bad))
+            if fault is None or fault.row is None or row < fault.row:
+                expected = (
+                    f"a number up to {LARGEST_VALUE:g}"
+                    if np.isfinite(values[row])
+                    else "a finite number"
+                )
+                fault = Fault(row, name, f"{values[row]} where {expected} was expected")
+
+    earlier, first = (time[:-1], 1) if before is None else (np.append(before["time"], time[:-1]), 0)
+    with np.errstate(invalid="ignore"):
+        stuck = time[first:] <= earlier
+    if not stuck.any():
+        return fault
+    row = int(np.argmax(stuck)) + first
+    if fault is not None and fault.row is not None and fault.row <= row:
+        return fault
+
+    def previous(name: str) -> float:
+        if row > 0:
+            return float(columns[name][row - 1])
+        assert before is not None
+        return before[name]
+
+    if all(columns[name][row] == previous(name) for name in columns):
+        return Fault(row, None, "repeats the row before it; expected a new sample in every row")
+    return Fault(
+        row,
+        "time",
+        f"{float(time[row])!r} s follows {previous('time')!r} s; "
+        "expected time to increase strictly",
+    )
+
+
+def column_names(quantity: str, joints: int) -> list[str]:
+    """`position_1` to `position_n`: how a file names the joints of one quantity."""
+    return [f"{quantity}_{joint}" for joint in range(1, joints + 1)]
+
+
+def as_columns(
+    time: Float[np.ndarray, " samples"],
+    joint_names: Sequence[str] | None = None,
+    /,
+    **quantities: Float[np.ndarray, "samples joints"] | None,
+) -> dict[str, Float[np.ndarray, " samples"]]:
+    """A recording's arrays as the columns of a file, those that are absent left out.
+
+    Columns are numbered, or called by the joints' names.
+    """
+    columns = {"time": time}
+    for quantity, values in quantities.items():
+        if values is not None:
+            names = column_names(quantity, values.shape[1])
+            if joint_names is not None:
+                names = [f"{quantity}_{joint}" for joint in joint_names]
+            columns.update(zip(names, values.T, strict=True))
+    return columns
+
+
+class Recording(eqx.Module):
+    """Joint positions and torques of a moving manipulator, sampled in time.
+
+    The torque in row n is the one demanded (or measured) at `time[n]`; a drive that holds its
+    demand applies it from `time[n]` to `time[n + 1]` (thesis, Section 7.4).
+
+    **Attributes**
+
+    - `time`: instants of the samples, shape `(samples,)` [s], strictly increasing.
+    - `position`: joint positions, shape `(samples, joints)` [rad or m].
+    - `torque`: joint torques or forces, shape `(samples, joints)` [N m or N].
+    - `velocity`, `acceleration`: shape `(samples, joints)`, or `None` where they were not
+        recorded [rad/s, rad/s² or m/s, m/s²].
+    - `joint_names`: of the joints, where the recording has such.
+    - `notes`: sentences about what was decided in reading it; `identify` repeats them.
+    - `torque_measured`: whether torques are measurements of the samples' instants, and not demands
+        that a drive holds to the next one. `choose_settings` relies on it where the recording
+        itself does not show which torque belongs to a sample.
+    - `fixed_motion`: joints that the robot's description takes as fixed, and how far each moves in
+      the recording [rad or m].
+    - `following_error`: joints that follow others by a law of the robot's description, and how far
+      each is off it in the recording [rad or m].
+
+    Those of motion are float64 arrays.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import Recording
+    >>> time = np.linspace(0.0, 1.0, 11)
+    >>> recording = Recording(time, np.sin(time)[:, None], np.zeros((11, 1)))
+    >>> recording.samples, recording.joints
+    (11, 1)
+    """
+
+    time: Float[np.ndarray, " samples"]
+    position: Float[np.ndarray, "samples joints"]
+    torque: Float[np.ndarray, "samples joints"]
+    velocity: Float[np.ndarray, "samples joints"] | None
+    acceleration: Float[np.ndarray, "samples joints"] | None
+    joint_names: tuple[str, ...] | None = eqx.field(static=True)
+    notes: tuple[str, ...] = eqx.field(static=True)
+    torque_measured: bool = eqx.field(static=True)
+    fixed_motion: tuple[tuple[str, float], ...] = eqx.field(static=True)
+    following_error: tuple[tuple[str, float], ...] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        time: ArrayLike,
+        position: ArrayLike,
+        torque: ArrayLike,
+        velocity: ArrayLike | None = None,
+        acceleration: ArrayLike | None = None,
+        *,
+        joint_names: Sequence[str] | None = None,
+        notes: Sequence[str] = (),
+        torque_measured: bool = False,
+        fixed_motion: Sequence[tuple[str, float]] = (),
+        following_error: Sequence[tuple[str, float]] = (),
+    ):
+        """**Arguments**
+
+        As the attributes; anything that NumPy can turn into float64 arrays of those shapes.
+
+        **Raises**
+
+        - `RecordingError`: shapes that disagree, fewer than five samples, values that are not
+            finite, or time that does not strictly increase. Samples and joints count from 1 in
+            the message.
+        """
+        self.time = _as_float("time", time, 1)
+        self.position = _as_float("position", position, 2)
+        self.torque = _as_float("torque", torque, 2)
+        self.velocity = None if velocity is None else _as_float("velocity", velocity, 2)
+        self.acceleration = (
+            None if acceleration is None else _as_float("acceleration", acceleration, 2)
+        )
+        self.joint_names = None if joint_names is None else tuple(joint_names)
+        self.notes = tuple(notes)
+        self.torque_measured = torque_measured
+        self.fixed_motion = tuple(fixed_motion)
+        self.following_error = tuple(following_error)
+        # Checked here and not in `__check_init__`, so that the message is this one whether or
+        # not a run-time checker of the shape annotations is at work.
+        quantities = {
+            "position": self.position,
+            "torque": self.torque,
+            "velocity": self.velocity,
+            "acceleration": self.acceleration,
+        }
+        samples, joints = self.time.size, self.position.shape[1]
+        for name, values in quantities.items():
+            if values is not None and values.shape != (samples, joints):
+                raise RecordingError(
+                    f"{name} has shape {values.shape}; expected ({samples}, {joints}): "
+                    f"one row for each of the {samples} times, one column a joint of position"
+                )
+        if self.joint_names is not None and len(self.joint_names) != joints:
+            raise RecordingError(
+                f"{len(self.joint_names)} names of joints; expected {joints}, one for each column"
+            )
+        if joints == 0:
+            raise RecordingError("position has no columns; expected one column a joint")
+        if samples < MINIMUM_SAMPLES:
+            raise RecordingError(
+                f"{samples} samples; expected at least {MINIMUM_SAMPLES} for an acceleration"
+            )
+        fault = first_fault(as_columns(self.time, **quantities))
+        if fault is not None and fault.row is not None:
+            where = "" if fault.column is None else f", {fault.column}"
+            raise RecordingError(f"sample {fault.row + 1}{where}: {fault.problem}")
+
+    @property
+    def samples(self) -> int:
+        """Number of samples that were recorded."""
+        return self.position.shape[0]
+
+    @property
+    def joints(self) -> int:
+        """Number of joints that were recorded."""
+        return self.position.shape[1]
+
+    def rows(self, selected: slice | Bool[np.ndarray, " samples"]) -> "Recording":
+        """Return the recording of some of the samples.
+
+        **Arguments**
+
+        - `selected`: a slice, or True for each sample to keep, shape `(samples,)`.
+
+        **Returns**
+
+        The recording of these samples.
+
+        **Raises**
+
+        - `RecordingError`: fewer than five are left.
+        """
+        return Recording(
+            self.time[selected],
+            self.position[selected],
+            self.torque[selected],
+            None if self.velocity is None else self.velocity[selected],
+            None if self.acceleration is None else self.acceleration[selected],
+            joint_names=self.joint_names,
+            notes=self.notes,
+            torque_measured=self.torque_measured,
+            fixed_motion=self.fixed_motion,
+            following_error=self.following_error,
+        )
+
+    def between(self, start: float, end: float) -> "Recording":
+        """A stretch of the recording.
+
+        **Arguments**
+
+        - `start`, `end`: seconds since the first sample; both ends belong to the stretch.
+
+        **Returns**
+
+        The recording of this stretch, its times unchanged.
+
+        **Raises**
+
+        - `RecordingError`: fewer than five samples are left.
+
+        >>> import numpy as np
+        >>> from jaxcslc.recordings import Recording
+        >>> time, line = 10.0 + np.arange(100) * 0.1, np.arange(100.0)[:, None]
+        >>> Recording(time, line, line).between(1.0, 2.0).time[[0, -1]].tolist()
+        [11.0, 12.0]
+        """
+        time = self.time - self.time[0]
+        return self.rows((time >= start) & (time <= end))
+
+
+def without_stale_rows(recording: Recording) -> Recording:
+    """Drop every sample whose values all repeat those of the sample before it.
+
+    A recorder that polls faster than its source delivers writes such rows with a new time and
+    old values. They are no measurements: left in, they look like a joint that stops and jumps.
+    (Rows that repeat the *time* as well are an error when the recording is made.)
+
+    **Arguments**
+
+    - `recording`: as recorded.
+
+    **Returns**
+
+    The recording without its stale rows; its time is then not uniform. See `resample` for
+    methods that need uniform time.
+
+    **Raises**
+
+    - `RecordingError`: too few samples are left.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import Recording, without_stale_rows
+    >>> position = np.array([0.0, 0.1, 0.1, 0.3, 0.4, 0.5])[:, None]
+    >>> recording = Recording(np.arange(6) * 0.01, position, 2 * position)
+    >>> without_stale_rows(recording).time
+    array([0.  , 0.01, 0.03, 0.04, 0.05])
+    """
+    return recording.rows(~stale_rows(recording))
+
+
+def fresh_rows(recording: Recording, every: int) -> Recording:
+    """Keep every so many rows: those at which positions are new.
+
+    A source that is slower than its recorder repeats its positions, while torques may change in
+    every row. Of the rows to start from, that with the most changes of positions is taken.
+
+    **Arguments**
+
+    - `recording`: as recorded.
+    - `every`: rows for each new one, 1 or more.
+
+    **Returns**
+
+    The recording of these rows.
+
+    **Raises**
+
+    - `ValueError`: less than 1.
+    - `RecordingError`: too few samples are left.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import Recording, fresh_rows
+    >>> position = np.repeat(np.arange(10.0), 3)[1:, None]  # a new one in every third row
+    >>> recording = Recording(np.arange(29) * 0.01, position, position)
+    >>> fresh_rows(recording, 3).position[:4, 0].tolist()
+    [1.0, 2.0, 3.0, 4.0]
+    """
+    if every < 1:
+        raise ValueError(f"every is {every}; expected 1 or more rows")
+    changes = np.any(np.diff(recording.position, axis=0) != 0.0, axis=1)
+    counts = [int(changes[start::every].sum()) for start in range(every)]
+    return recording.rows(slice((int(np.argmax(counts)) + 1) % every, None, every))
+
+
+def stale_rows(recording: Recording) -> Bool[np.ndarray, " samples"]:
+    """Mark the samples whose values all repeat those of the sample before.
+
+    **Arguments**
+
+    - `recording`: as recorded.
+
+    **Returns**
+
+    True for each stale sample, shape `(samples,)`; never for the first.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import Recording, stale_rows
+    >>> position = np.array([0.0, 0.1, 0.1, 0.3, 0.4])[:, None]
+    >>> stale_rows(Recording(np.arange(5) * 0.01, position, position)).tolist()
+    [False, False, True, False, False]
+    """
+    parts = (recording.position, recording.torque, recording.velocity, recording.acceleration)
+    values = np.concatenate([part for part in parts if part is not None], axis=1)
+    return np.append(False, np.all(values[1:] == values[:-1], axis=1))
+
+
+def _as_float(name: str, values: ArrayLike, dimensions: int) -> np.ndarray:
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"{name} is not an array of real numbers: {error}") from error
+    if array.ndim != dimensions:
+        expected = "(samples,)" if dimensions == 1 else "(samples, joints)"
+        raise RecordingError(f"{name} has shape {array.shape}; expected {expected}")
+    return array

@@ -1,0 +1,284 @@
+"""Layout of a recording file: its columns, their quantities, joints and units.
+
+`_layouts` and `_column_mapping` make layouts; `_tables` reads the columns that a layout names.
+"""
+
+import dataclasses
+import itertools
+import math
+import re
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+import numpy as np
+from jaxtyping import Float
+
+from .._recording import RecordingError
+
+
+REQUIRED = ("position", "torque")
+OPTIONAL = ("velocity", "acceleration")
+QUANTITIES = (*REQUIRED, *OPTIONAL)
+
+
+@dataclasses.dataclass(frozen=True)
+class Header:
+    """Information that a file gives on its columns before they are read.
+
+    **Attributes**
+
+    - `names`: of the columns.
+    - `joint_names`: of the joints in the columns' order, where the file has them apart.
+    - `notes`: what its reader decided.
+    - `hint`: why a quantity may be missing, for messages.
+    """
+
+    names: list[str]
+    joint_names: tuple[str, ...] | None = None
+    notes: tuple[str, ...] = ()
+    hint: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class LayoutColumn:
+    """A column of a file, and the factor that makes SI units of its values."""
+
+    name: str
+    factor: float = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class ColumnLayout:
+    """Assignment of a file's columns to a recording's quantities, and their units.
+
+    **Attributes**
+
+    - `time_column`: of the samples' instants.
+    - `quantities`: for `"position"`, `"torque"` and further ones, one column a joint.
+    - `joint_names`: in the order of the columns; None where joints are numbered.
+    - `relative`: whether time counts from the first sample, as where the file counts from 1970.
+    - `notes`: sentences about what was decided in reading the file.
+    - `hint`: why a quantity is missing, for messages.
+    - `torque_measured`: as of `Recording`.
+    """
+
+    time_column: LayoutColumn
+    quantities: Mapping[str, tuple[LayoutColumn, ...]]
+    joint_names: tuple[str, ...] | None = None
+    relative: bool = True
+    notes: tuple[str, ...] = ()
+    hint: str = ""
+    torque_measured: bool = True
+
+    @property
+    def joints(self) -> int:
+        """Number of joints that the columns belong to."""
+        return max((len(columns) for columns in self.quantities.values()), default=0)
+
+    @property
+    def names(self) -> list[str]:
+        """The columns to read, time first."""
+        ordered = (self.quantities.get(quantity, ()) for quantity in QUANTITIES)
+        return [self.time_column.name, *(column.name for some in ordered for column in some)]
+
+    @property
+    def time(self) -> str:
+        """The name of the time column."""
+        return self.time_column.name
+
+    @property
+    def factors(self) -> dict[str, float]:
+        """SI units in one unit of each column that is read."""
+        columns = (column for some in self.quantities.values() for column in some)
+        return {column.name: column.factor for column in (self.time_column, *columns)}
+
+    def split(
+        self, table: Mapping[str, Float[np.ndarray, " rows"]]
+    ) -> dict[str, Float[np.ndarray, "rows joints"] | None]:
+        """The columns of a table put together, one array a quantity; `None` for absent ones."""
+        return {
+            quantity: np.stack([table[column.name] for column in self.quantities[quantity]], 1)
+            if quantity in self.quantities
+            else None
+            for quantity in QUANTITIES
+        }
+
+    def checked(self, file: str) -> "ColumnLayout":
+        """The layout, if a recording can be made of it.
+
+        **Raises** `RecordingError` for a quantity that is missing, numbers of columns that differ,
+        or a column that is used twice.
+        """
+        for quantity in REQUIRED:
+            if not self.quantities.get(quantity):
+                reason = self.hint or (
+                    f"the file has no column of it; expected {quantity}_1 and on, or by joint as in"
+                    f" {quantity}_elbow, or columns in [{quantity}] of a file of --columns"
+                )
+                raise RecordingError(f"{file}: no {quantity}: {reason}")
+        for quantity, columns in self.quantities.items():
+            if len(columns) != self.joints:
+                raise RecordingError(
+                    f"{file}: {len(columns)} columns of {quantity}; expected {self.joints}, one for"
+                    " each joint"
+                )
+        names = self.names
+        if repeated := sorted({name for name in names if names.count(name) > 1}):
+            raise RecordingError(f"{file}: column {repeated[0]!r} is used more than once")
+        return self
+
+    def of_joints(self, file: str, joints: int | Sequence[str] | None) -> "ColumnLayout":
+        """The layout with the columns of a robot's joints, in their order.
+
+        **Arguments**
+
+        - `file`: as it is named in messages.
+        - `joints`: of the robot: their names, or how many.
+
+        **Raises** `RecordingError` where joints cannot be matched.
+        """
+        if joints is None:
+            return self
+        names = () if isinstance(joints, int) else tuple(joints)
+        count = joints if isinstance(joints, int) else len(names)
+        unnamed = bool(names) and is_numbered(names)
+        if not names or unnamed or self.joint_names is None:
+            return self._in_file_order(file, count, names, numbered=unnamed)
+        missing = [name for name in names if name not in self.joint_names]
+        if missing:
+            raise RecordingError(
+                f"{file}: no joint {_listed(missing)}; the recording has"
+                f" {_listed(self.joint_names)}; expected the names of the robot's file, or"
+                " joints = {robot's name = 'recording's name'} in a file of --columns"
+                + to_fix(missing, names)
+            )
+        others = [name for name in self.joint_names if name not in names]
+        notes = self.notes
+        if others:
+            notes = (*notes, f"joints that are not read: {_listed(others)}")
+        order = [self.joint_names.index(name) for name in names]
+        return dataclasses.replace(
+            self,
+            quantities={
+                quantity: tuple(columns[i] for i in order)
+                for quantity, columns in self.quantities.items()
+            },
+            joint_names=names,
+            notes=notes,
+        )
+
+    def _in_file_order(
+        self, file: str, count: int, names: Sequence[str], *, numbered: bool
+    ) -> "ColumnLayout":
+        if self.joints != count:
+            lacking = () if numbered else names[self.joints :]
+            had = "" if self.joint_names is None else f" ({_listed(self.joint_names)})"
+            raise RecordingError(
+                f"{file}: {self.joints} position columns{had}; expected {count}, one for each joint"
+                f" of the robot{to_fix(lacking, names)}"
+            )
+        if numbered and self.joint_names is not None and not _count_up(self.joint_names):
+            raise RecordingError(
+                f"{file}: joints {_listed(self.joint_names)}, but the robot's joints have no names;"
+                " name them in the robot's file (name = ... of each [[joint]]), or list the"
+                " recording's in the robot's order: joints = [...] in a file of --columns"
+            )
+        return self
+
+
+def is_numbered(names: Sequence[str]) -> bool:
+    """Return whether joints are called `joint 1`, `joint 2` and so on, as those without names are.
+
+    >>> is_numbered(["joint 1", "joint 2"]), is_numbered(["shoulder", "elbow"])
+    (True, False)
+    """
+    return list(names) == [f"joint {i}" for i in range(1, len(names) + 1)]
+
+
+def to_fix(missing: Sequence[str], names: Sequence[str]) -> str:
+    """Return advice about joints of the robot that a recording lacks, such as a gripper's fingers.
+
+    >>> to_fix(["finger"], ["shoulder", "elbow", "finger"])
+    '; joints that stood still need no columns: --fix finger'
+    """
+    if not missing or len(missing) == len(names):
+        return ""
+    return f"; joints that stood still need no columns: --fix {','.join(missing)}"
+
+
+def _count_up(names: Sequence[str]) -> bool:
+    """Return whether names differ in a number alone, which counts upwards.
+
+    The order of the columns is then the order of the joints.
+    """
+    parts = [re.fullmatch(r"(.*?)([0-9]+)(\D*)", name) for name in names]
+    stems = {(part[1], part[3]) for part in parts if part is not None}
+    numbers = [int(part[2]) for part in parts if part is not None]
+    return (
+        len(numbers) == len(names)
+        and len(stems) == 1
+        and all(after == before + 1 for before, after in itertools.pairwise(numbers))
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    shown = ", ".join(repr(name) if not name.isidentifier() else name for name in names[:12])
+    return shown if len(names) <= 12 else f"{shown} and {len(names) - 12} more"
+
+
+_TURN = 2.0 * math.pi
+_DEGREE = math.pi / 180.0
+
+UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
+    {
+        "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "epoch": 1.0},
+        "position": {"rad": 1.0, "mrad": 1e-3, "deg": _DEGREE, "rev": _TURN, "m": 1.0, "mm": 1e-3},
+        "velocity": {
+            **{"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREE, "rpm": _TURN / 60.0},
+            **{"m/s": 1.0, "mm/s": 1e-3},
+        },
+        "acceleration": {
+            **{"rad/s^2": 1.0, "deg/s^2": _DEGREE, "m/s^2": 1.0, "mm/s^2": 1e-3},
+        },
+        "torque": {"N m": 1.0, "mN m": 1e-3, "kN m": 1e3, "N": 1.0, "mN": 1e-3, "kN": 1e3},
+        "current": {"A": 1.0, "mA": 1e-3},
+    }
+)
+"""SI units in one of each unit, by quantity; those of revolute joints and of prismatic ones."""
+
+_SPELLINGS = {
+    **{"µ": "u", "μ": "u", "°": "deg", "degrees": "deg", "degree": "deg"},
+    **{"²": "^2", "s2": "s^2", "**": "^", "·": "", "*": ""},
+}
+
+
+def si_factor(unit: str, quantity: str) -> float | None:
+    """Return the factor from a unit of a quantity to its SI unit.
+
+    **Arguments**
+
+    - `unit`: as a header or a mapping spells it: `"deg"`, `"N m"`, `"Nm"`, `"rad/s²"`.
+    - `quantity`: a key of `UNITS`.
+
+    **Returns** the factor, or None for a unit that is none of this quantity.
+
+    >>> si_factor("mNm", "torque"), si_factor("µs", "time"), si_factor("deg", "torque")
+    (0.001, 1e-06, None)
+    """
+    return {_plain(name): factor for name, factor in UNITS[quantity].items()}.get(_plain(unit))
+
+
+def listed_units(quantity: str) -> str:
+    """The units of a quantity, for a message.
+
+    >>> listed_units("current")
+    'A or mA'
+    """
+    *first, last = UNITS[quantity]
+    return f"{', '.join(first)} or {last}"
+
+
+def _plain(unit: str) -> str:
+    for spelling, plain in _SPELLINGS.items():
+        unit = unit.replace(spelling, plain)
+    return "".join(unit.split()).replace("N.m", "Nm")

@@ -1,0 +1,396 @@
+"""Entry of the readers: load, save and iterate over recordings of any supported type."""
+
+import dataclasses
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from jaxcslc._scratch import unfinished
+
+from .._recording import MINIMUM_SAMPLES, Recording, RecordingError, as_columns
+from ._column_mapping import ColumnMapping
+from ._layout import ColumnLayout, Header, is_numbered
+from ._layouts import layout_of
+
+
+# Names of joints that a CSV header can hold, and that are read back as such.
+_COLUMN_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
+
+
+class RecordingChunk(eqx.Module):
+    """Successive rows of a recording file that is too long for memory.
+
+    **Attributes**
+
+    - `first`: the number of the chunk's first row in the file, counted from 0.
+    - `time`, `position`, `torque`, `velocity`, `acceleration`: as of a `Recording`.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import RecordingChunk
+    >>> one = np.zeros((1, 2))
+    >>> RecordingChunk(0, np.zeros(1), one, one, None, None).samples
+    1
+    """
+
+    first: int
+    time: Float[np.ndarray, " samples"]
+    position: Float[np.ndarray, "samples joints"]
+    torque: Float[np.ndarray, "samples joints"]
+    velocity: Float[np.ndarray, "samples joints"] | None
+    acceleration: Float[np.ndarray, "samples joints"] | None
+
+    @property
+    def samples(self) -> int:
+        """Number of rows in the chunk."""
+        return self.position.shape[0]
+
+
+def load_recording(
+    path: str | os.PathLike[str],
+    joints: int | Sequence[str] | None = None,
+    columns: ColumnMapping | str | os.PathLike[str] | None = None,
+    *,
+    fixed: Sequence[str] = (),
+    following: Sequence[tuple[str, str, float, float]] = (),
+) -> Recording:
+    """Read a recording from a file.
+
+    CSV, Parquet and NumPy's `.npz`; logs of Universal Robots (RTDE) and of libfranka. Which columns
+    are what follows from their names, or from `columns`; see `docs/recordings.md`.
+
+    **Arguments**
+
+    - `path`: of the file, whose type is told by its suffix or its first bytes.
+    - `joints`: of the robot, where the recording is to be of a certain one: how many, or their
+        names (`robot.joint_names`), by which the recording's joints are put in order.
+    - `columns`: names and units of the columns, where the format does not say them: a mapping, or
+        the path of its TOML file.
+    - `fixed`: joints that the robot's description takes as fixed
+        (`robot.source.fixed_joints`). Where the recording has them, its `fixed_motion` says how far
+        they move.
+    - `following`: joints that the robot's description has follow others: name, the other's name,
+        multiplier and offset. Where the recording has both, its `following_error` says how far the
+        joint is off that law.
+
+    **Returns**
+
+    The recording, in SI units. `joint_names` are the file's, where it names joints; `notes` say
+    what was decided in reading it.
+
+    **Raises**
+
+    - `RecordingError`: a file that is missing, unreadable or empty; missing, unknown or duplicate
+        columns; cells that are no finite numbers; time that does not increase; repeated rows; too
+        few samples; another number of joints, or joints of other names; motor currents without
+        torque constants. The message is one line and names the file, the column and the row (data
+        rows from 1 and, in CSV files, the line).
+
+    >>> import pathlib, tempfile
+    >>> from jaxcslc.recordings import load_recording
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "still.csv"
+    ...     rows = "".join(f"{0.01 * row:.2f},0.5,{row}\\n" for row in range(6))
+    ...     _ = path.write_text("time,position_1,torque_1\\n" + rows)
+    ...     load_recording(path).torque[:, 0].tolist()
+    [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    """
+    path = Path(path)
+    layout, pieces = _opened(path, joints, columns)
+    tables = list(pieces)
+    keys = ["time", *(name for name in layout.names if name != layout.time)]
+    table = {
+        name: np.concatenate([piece[name] for piece in tables] or [np.empty(0)]) for name in keys
+    }
+    samples = table["time"].size
+    if samples < MINIMUM_SAMPLES:
+        raise RecordingError(
+            f"{path}: {samples or 'no'} rows of samples; expected at least {MINIMUM_SAMPLES}"
+        )
+    return Recording(
+        table["time"],
+        **layout.split(table),  # pyright: ignore[reportArgumentType]
+        joint_names=layout.joint_names,
+        notes=layout.notes,
+        torque_measured=layout.torque_measured,
+        fixed_motion=_motion_of(path, columns, fixed),
+        following_error=_following_error(path, columns, following),
+    )
+
+
+def _motion_of(
+    path: Path, columns: ColumnMapping | str | os.PathLike[str] | None, names: Sequence[str]
+) -> list[tuple[str, float]]:
+    """Return the range of motion of joints, by name, for joints that the file has.
+
+    Data that cannot be read are left out.
+    """
+    lowest: dict[str, float] = {}
+    highest: dict[str, float] = {}
+    for piece in _positions_of(path, columns, names):
+        for name, position in piece.items():
+            lowest[name] = min(float(np.min(position)), lowest.get(name, np.inf))
+            highest[name] = max(float(np.max(position)), highest.get(name, -np.inf))
+    return [(name, highest[name] - lowest[name]) for name in lowest]
+
+
+def _following_error(
+    path: Path,
+    columns: ColumnMapping | str | os.PathLike[str] | None,
+    following: Sequence[tuple[str, str, float, float]],
+) -> list[tuple[str, float]]:
+    """Return the largest deviation of joints from the laws by which they follow others.
+
+    Joints that the file lacks are left out.
+    """
+    names = dict.fromkeys(name for law in following for name in law[:2])
+    largest: dict[str, float] = {}
+    for piece in _positions_of(path, columns, list(names)):
+        for name, leader, multiplier, offset in following:
+            if name in piece and leader in piece:
+                error = np.max(np.abs(piece[name] - multiplier * piece[leader] - offset))
+                largest[name] = max(float(error), largest.get(name, 0.0))
+    return list(largest.items())
+
+
+def _positions_of(
+    path: Path, columns: ColumnMapping | str | os.PathLike[str] | None, names: Sequence[str]
+) -> Iterator[dict[str, Float[np.ndarray, " rows"]]]:
+    """Positions of those joints that a file has, piece by piece, up to what cannot be read.
+
+    The file is read again, for what is wrong with columns that nobody needs must not keep those
+    that are needed from being read.
+    """
+    if not names:
+        return
+    try:
+        layout, pieces = _opened(path, None, columns)
+        recorded = [name for name in names if name in (layout.joint_names or ())]
+        if not recorded:
+            return
+        positions = layout.of_joints(str(path), recorded).quantities["position"]
+        for piece in pieces:
+            values = (piece[column.name] for column in positions)
+            yield dict(zip(recorded, values, strict=True))
+    except RecordingError:
+        return
+
+
+def load_recordings(
+    path: str | os.PathLike[str],
+    joints: int | Sequence[str] | None = None,
+    columns: ColumnMapping | str | os.PathLike[str] | None = None,
+) -> dict[str, Recording]:
+    """Read all recordings of a file: of a bag those of every topic of joint states.
+
+    **Arguments**
+
+    - `path`, `joints`, `columns`: as for `load_recording`.
+
+    **Returns**
+
+    The recordings by topic; of a file that holds one, by the file's name.
+
+    **Raises**
+
+    - `RecordingError`: as `load_recording`.
+
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import load_recordings
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "one.npz"
+    ...     np.savez(path, t=np.arange(6.0), q=np.zeros((6, 2)), tau=np.eye(6, 2))
+    ...     tuple(load_recordings(path))
+    ('one.npz',)
+    """
+    from ._tables import topics_of  # loads Arrow, which others need not wait for
+
+    path, mapping = Path(path), _mapping_of(columns) or ColumnMapping()
+    topics = topics_of(path, _file_joints(mapping, joints), mapping.topic)
+    if topics is None:
+        return {path.name: load_recording(path, joints, mapping)}
+    return {
+        topic: load_recording(path, joints, dataclasses.replace(mapping, topic=topic))
+        for topic in topics
+    }
+
+
+def iterate_recording(
+    path: str | os.PathLike[str],
+    chunk_rows: int,
+    joints: int | Sequence[str] | None = None,
+    columns: ColumnMapping | str | os.PathLike[str] | None = None,
+) -> Iterator[RecordingChunk]:
+    """Read a recording of any length, a chunk at a time.
+
+    Memory does not grow with the file, as long as a Parquet file's row groups are not as large as
+    itself (this package writes small ones).
+
+    **Arguments**
+
+    - `path`: as for `load_recording`.
+    - `chunk_rows`: of every chunk but the last, which may be shorter.
+    - `joints`, `columns`: as for `load_recording`.
+
+    **Returns**
+
+    An iterator over the chunks, in order. The file's columns are checked before it returns.
+
+    **Raises**
+
+    - `ValueError`: chunks of less than one row.
+    - `RecordingError`: as `load_recording`, but for its least number of samples: any row will
+        do. Faults of rows and cells are raised by the iterator when it comes to them.
+
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import iterate_recording, Recording, save_recording
+    >>> time = np.arange(10) * 0.01
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "long.parquet"
+    ...     save_recording(Recording(time, time[:, None], time[:, None]), path)
+    ...     [(chunk.first, chunk.samples) for chunk in iterate_recording(path, 4)]
+    [(0, 4), (4, 4), (8, 2)]
+    """
+    if chunk_rows < 1:
+        raise ValueError(f"chunks of {chunk_rows} rows; expected 1 or more")
+    path = Path(path)
+    layout, pieces = _opened(path, joints, columns)
+
+    def chunks() -> Iterator[RecordingChunk]:
+        waiting: list[dict[str, Float[np.ndarray, " rows"]]] = []
+        rows = first = 0
+
+        def put_together() -> dict[str, Float[np.ndarray, " rows"]]:
+            return {name: np.concatenate([part[name] for part in waiting]) for name in waiting[0]}
+
+        def chunk(table: dict[str, Float[np.ndarray, " rows"]]) -> RecordingChunk:
+            return RecordingChunk(first=first, time=table["time"], **layout.split(table))  # pyright: ignore[reportArgumentType]
+
+        for piece in pieces:
+            waiting.append(piece)
+            rows += piece["time"].size
+            if rows < chunk_rows:
+                continue
+            table = put_together()
+            start = 0
+            while rows - start >= chunk_rows:
+                yield chunk({name: v[start : start + chunk_rows] for name, v in table.items()})
+                start += chunk_rows
+                first += chunk_rows
+            waiting = [{name: values[start:].copy() for name, values in table.items()}]
+            rows -= start
+        if rows:
+            yield chunk(put_together())
+        elif first == 0:
+            raise RecordingError(f"{path}: no rows of samples; expected at least 1")
+
+    return chunks()
+
+
+def save_recording(
+    recording: Recording | Iterable[Recording | RecordingChunk], path: str | os.PathLike[str]
+) -> None:
+    """Write a recording to a CSV or Parquet file, from which it is read back bit for bit.
+
+    Columns are `time`, `position_1` and so on, or `position_shoulder` where joints have names.
+
+    The file appears when it is complete: until then, one of that name stays as it was.
+
+    **Arguments**
+
+    - `recording`: one, or successive parts of one that is too long for memory.
+    - `path`: ends in `.csv` or `.parquet`; its folder exists.
+
+    **Raises**
+
+    - `RecordingError`: another suffix, a folder that cannot be written to, parts that differ in
+        their columns, or no parts.
+
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import load_recording, Recording, save_recording
+    >>> time = np.linspace(0.0, 1.0, 7)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "motion.csv"
+    ...     save_recording(Recording(time, np.sin(time)[:, None], time[:, None]), path)
+    ...     bool((load_recording(path).position[:, 0] == np.sin(time)).all())
+    True
+    """
+    from ._tables import write_tables
+
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in (".csv", ".parquet"):
+        raise RecordingError(
+            f"{path}: unknown file type {path.suffix!r}; expected .csv or .parquet"
+        )
+    parts = [recording] if isinstance(recording, Recording) else recording
+    try:
+        with unfinished(path) as file:
+            write_tables(map(_columns_of, parts), file, path)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _opened(
+    path: Path,
+    joints: int | Sequence[str] | None,
+    columns: ColumnMapping | str | os.PathLike[str] | None,
+) -> tuple[ColumnLayout, Iterator[dict[str, Float[np.ndarray, " rows"]]]]:
+    """A file's layout, and its rows piece by piece."""
+    from ._tables import open_table  # loads Arrow, which others need not wait for
+
+    mapping = _mapping_of(columns)
+
+    def check(file: str, header: Header) -> ColumnLayout:
+        return layout_of(file, header, joints, mapping)
+
+    return open_table(
+        path,
+        check,
+        delimiter=None if mapping is None else mapping.delimiter,
+        topic=None if mapping is None else mapping.topic,
+        joints=_file_joints(mapping, joints),
+    )
+
+
+def _mapping_of(
+    columns: ColumnMapping | str | os.PathLike[str] | None,
+) -> ColumnMapping | None:
+    if columns is None or isinstance(columns, ColumnMapping):
+        return columns
+    return ColumnMapping.load(columns)
+
+
+def _file_joints(
+    mapping: ColumnMapping | None, joints: int | Sequence[str] | None
+) -> Sequence[str] | None:
+    """The joints that a recording is to have, as it calls them."""
+    if mapping is not None and (mapping.file_joints or mapping.joints):
+        return mapping.file_joints or mapping.joints
+    return _names_of(joints)
+
+
+def _names_of(joints: int | Sequence[str] | None) -> Sequence[str] | None:
+    """Names of joints that a recording can have: not those of joints that are only numbered."""
+    if joints is None or isinstance(joints, int) or is_numbered(joints):
+        return None
+    return joints
+
+
+def _columns_of(part: Recording | RecordingChunk) -> dict[str, Float[np.ndarray, " rows"]]:
+    names = part.joint_names if isinstance(part, Recording) else None
+    return as_columns(
+        part.time,
+        names if names is not None and all(map(_COLUMN_NAME.fullmatch, names)) else None,
+        position=part.position,
+        torque=part.torque,
+        velocity=part.velocity,
+        acceleration=part.acceleration,
+    )

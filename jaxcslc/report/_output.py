@@ -1,0 +1,164 @@
+"""Files of reports: a folder of them, all or none; CSV and JSON."""
+
+import contextlib
+import csv
+import json
+import math
+import os
+from collections.abc import Generator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Array
+
+from .._scratch import scratch_folder
+from ._render import render
+
+
+if TYPE_CHECKING:
+    from ._report import AbstractReport
+
+
+_RECORDINGS = ("training", "validation")
+_FILES = ("index.html", "coefficients.csv", "identification.json")
+
+
+def check_output_folder(folder: Path) -> None:
+    """**Raises** `ValueError` if the results cannot go there: a file, or no right to write."""
+    for path in (folder, *folder.absolute().parents):
+        if path.exists():
+            if not path.is_dir():
+                raise ValueError(f"{path}: expected a folder for the results, this is a file")
+            if not os.access(path, os.W_OK | os.X_OK):
+                raise ValueError(f"{path}: expected a folder that can be written to")
+            return
+
+
+@contextlib.contextmanager
+def all_or_nothing(folder: Path) -> Generator[Path]:
+    """A scratch folder whose files move into `folder` when all of them are written.
+
+    If writing fails, the files of `folder` stay as they were. Files of other names are not touched.
+    What a process that was killed left behind is removed.
+
+    **Raises** as `check_output_folder`.
+    """
+    check_output_folder(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with scratch_folder(folder.parent, folder.name) as scratch:
+        yield scratch
+        folder.mkdir(exist_ok=True)
+        for path in sorted(scratch.iterdir()):
+            os.replace(path, folder / path.name)
+
+
+def write_report(
+    folder: Path, report: "AbstractReport[Any]", *, pictures: bool
+) -> tuple[Path, ...]:
+    """Writes a report into a folder: all of its files or, if writing fails, none.
+
+    Files of these names that an earlier report left and this one does not have are removed.
+
+    **Returns** the files to look at: without those of drawings. **Raises** as `Report.save`.
+    """
+    with all_or_nothing(folder) as scratch:
+        page = render(report.page(charts=pictures))
+        (scratch / "index.html").write_text(page, encoding="utf-8")
+        for section in report.sections:
+            for name, rows in section.tables(report).items():
+                write_csv(scratch / name, rows)
+        identification, *drawings = report.documents(charts=pictures).items()
+        write_json(scratch / identification[0], identification[1])
+        for name, entries in drawings:  # nobody reads these numbers
+            text = json.dumps(entries, separators=(",", ":"), allow_nan=False)
+            (scratch / name).write_text(text, encoding="utf-8")
+        for name in report.patterns:
+            _write_torque(scratch / _torque_file(name, report.model.output_quantity), report, name)
+        written = {path.name for path in scratch.iterdir()}
+    known = [path.name for path in replaced_files(folder)]
+    for name in known:
+        if name not in written:
+            (folder / name).unlink(missing_ok=True)
+    ordered = [*known, *sorted(written - {*known})]
+    shown = written - {name for name, _ in drawings}
+    return tuple(folder / name for name in ordered if name in shown)
+
+
+def _torque_file(recording: str, quantity: str) -> str:
+    return f"{quantity.replace(' ', '_')}_{recording}.csv"
+
+
+def replaced_files(folder: Path) -> list[Path]:
+    """Return the files of a folder that a report written into it may replace or remove."""
+    of_recordings = [
+        name
+        for recording in _RECORDINGS
+        for name in (
+            f"errors_{recording}.csv",
+            *(_torque_file(recording, quantity) for quantity in ("torque", "known sides")),
+        )
+    ]
+    return [folder / name for name in (*_FILES, *of_recordings, "charts.json")]
+
+
+def _write_torque(path: Path, report: "AbstractReport[Any]", recording: str) -> None:
+    """Writes measured and predicted torque of every sample, and what is masked."""
+    patterns, labels = report.patterns[recording], report.model.output_labels
+    header = [f"{name}_{label}" for name in ("measured", "predicted", "mask") for label in labels]
+    numbers = np.concatenate(
+        [
+            np.asarray(patterns.time)[:, None],
+            np.asarray(patterns.torque),
+            report.predicted(recording),
+        ],
+        axis=1,
+    )
+    # As `numpy.savetxt` writes them, in half of the time; a mask is one character.
+    row = "%.10g," * numbers.shape[1] + "%s"
+    mask = np.asarray(patterns.mask)
+    masks = np.full((len(mask), 2 * mask.shape[1]), ord(","), np.uint8)
+    masks[:, ::2] = np.where(mask, ord("1"), ord("0"))
+    masks[:, -1] = ord("\n")
+    ends = masks.view(f"S{masks.shape[1]}").ravel().astype(str).tolist()
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(",".join(["time", *header]) + "\n")
+        file.writelines(
+            row % (*values, end) for values, end in zip(numbers.tolist(), ends, strict=True)
+        )
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Rows as CSV, numbers in full precision."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
+    """A document as JSON; numbers that JSON cannot represent become null."""
+    path.write_text(_text(document, "\n") + "\n", encoding="utf-8")
+
+
+def _text(value: Any, line: str) -> str:
+    """A value as `json.dumps` writes it with an indent of 2, which is slow for many numbers.
+
+    - `line`: the end of a line, and the indent of the next one.
+    """
+    inner = line + "  "
+    if isinstance(value, float):
+        return float.__repr__(value) if math.isfinite(value) else "null"
+    if isinstance(value, Mapping):
+        names = (json.dumps(str(name), ensure_ascii=False) for name in value)
+        entries = [
+            f"{name}: {_text(entry, inner)}"
+            for name, entry in zip(names, value.values(), strict=True)
+        ]
+        return f"{{{inner}{f',{inner}'.join(entries)}{line}}}" if entries else "{}"
+    if isinstance(value, list | tuple):
+        entries = [_text(entry, inner) for entry in value]
+        return f"[{inner}{f',{inner}'.join(entries)}{line}]" if entries else "[]"
+    if isinstance(value, np.ndarray | np.generic | Array):
+        return _text(np.asarray(value).tolist(), line)
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)

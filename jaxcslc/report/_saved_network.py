@@ -1,0 +1,116 @@
+"""Networks of saved reports: of the robot in the file, or of one that is given and compared."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._plain_data import record_from
+from ..least_squares import Identification
+from ..manipulator import Manipulator, RobotError
+from ..network import CSLC, derive
+
+
+def saved_network(
+    document: Mapping[str, Any], fit: Identification, where: Path | str, robot: Manipulator | None
+) -> CSLC:
+    """Return the network of a report's `identification.json`.
+
+    **Arguments**
+
+    - `document`: what the file holds.
+    - `fit`: in it.
+    - `where`: it was read.
+    - `robot`: that was identified; that of the file if None.
+
+    **Raises**
+
+    - `ValueError`: the file holds no robot, or is of another than `robot`.
+    """
+    robot = _robot(document, where) if robot is None else _with_friction(robot, document, where)
+    network = derive(robot, lengths=_lengths(document, where))
+    if network.static_slopes is not None and "static_slopes" in document:
+        try:
+            network = network.with_static_slopes(np.asarray(document["static_slopes"], float))
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{where}: static_slopes: {error}") from None
+    if difference := _difference(network, document, fit.names):
+        raise ValueError(f"{where}: {difference}; expected an identification of this robot")
+    if network.load_terms:  # it follows the torque of the identified bodies
+        network = network.with_load(np.asarray(fit.k))
+    return network
+
+
+def _robot(document: Mapping[str, Any], where: Path | str) -> Manipulator:
+    if "manipulator" not in document:
+        raise ValueError(f"{where}: has no robot; expected a folder that `Report.save` wrote")
+    try:
+        return record_from(Manipulator, document["manipulator"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{where}: manipulator: {error}") from None
+
+
+def _lengths(document: Mapping[str, Any], where: Path | str) -> Any:
+    lengths = document.get("lengths", "auto")
+    names = lengths if isinstance(lengths, list) else [lengths]
+    if not all(isinstance(name, str) for name in names):
+        raise ValueError(f"{where}: lengths: expected a text or a list of names, got {lengths!r}")
+    return lengths
+
+
+def _with_friction(
+    robot: Manipulator, document: Mapping[str, Any], where: Path | str
+) -> Manipulator:
+    """Return the robot with the friction and couplings of the file, where it has none of its own.
+
+    Friction terms of single joints and couplings of the robot are for `_difference` to compare.
+    """
+    terms, pairs = document.get("friction"), document.get("coupled")
+    for name, value in (("friction", terms), ("coupled", pairs)):
+        if value is not None and not isinstance(value, list):
+            raise ValueError(f"{where}: {name}: expected a list")
+    if robot.joint_friction is not None:
+        return robot
+    joint_friction: Any = document.get("joint_friction", [])
+    if not isinstance(joint_friction, list):
+        raise ValueError(f"{where}: joint_friction: expected a list")
+    try:
+        if terms is not None and tuple(terms) != robot.friction:
+            robot = robot.with_friction(*terms)
+        for joint, terms_of_joint in enumerate(joint_friction, 1):
+            if tuple(terms_of_joint) != robot.friction:
+                robot = robot.with_friction(*terms_of_joint, joint=joint)
+        if pairs and not robot.coupled:
+            robot = robot.with_coupling(*pairs)
+    except (RobotError, TypeError) as error:
+        raise ValueError(f"{where}: {error}") from None
+    return robot
+
+
+def _difference(network: CSLC, document: Mapping[str, Any], names: tuple[str, ...]) -> str | None:
+    """Return how the file's robot differs from the network's; None if no difference shows."""
+    robot = network.robot.name
+    if names != network.names:
+        return f"has coefficients {_summary(names)}; {robot} has {_summary(network.names)}"
+    expressions = document.get("expressions")
+    if expressions is None:
+        name = document.get("robot", robot)
+        if name != robot:  # nothing else tells robots of one structure apart
+            return f"is of robot {name!r}, not {robot!r}"
+    elif not isinstance(expressions, list) or len(expressions) != len(names):
+        return f"expressions: is no list of {len(names)}"
+    else:
+        for coefficient, expression in zip(network.coefficients, expressions, strict=True):
+            if expression != coefficient.expression:
+                return (
+                    f"{coefficient.name} is {expression}; of {robot} it is {coefficient.expression}"
+                )
+    coupled = [list(pair) for pair in network.robot.coupled]
+    if document.get("coupled", coupled) != coupled:
+        return f"has coupled joints {document['coupled']}; {robot} has {coupled}"
+    return None
+
+
+def _summary(names: tuple[str, ...]) -> str:
+    return f"{names[0]} to {names[-1]} ({len(names)})" if names else "none"

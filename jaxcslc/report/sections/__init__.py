@@ -1,0 +1,20 @@
+"""Kinds of results of a report, one file each; `_registry` lists them in the order of the text."""
+
+from ._coefficients import (
+    CoefficientSection as CoefficientSection,
+    ExcitationSection as ExcitationSection,
+)
+from ._errors import (
+    ErrorSection as ErrorSection,
+    HeldOutSection as HeldOutSection,
+    QualitySection as QualitySection,
+)
+from ._fit_quality import fit_quality as fit_quality
+from ._recordings import (
+    CurveSection as CurveSection,
+    RecordingSection as RecordingSection,
+    WarningSection as WarningSection,
+)
+from ._registry import SECTIONS as SECTIONS
+from ._repeat import RepeatSection as RepeatSection
+from ._settings import SettingsSection as SettingsSection

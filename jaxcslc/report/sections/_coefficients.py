@@ -1,0 +1,289 @@
+"""Sections on the coefficients: table, verdicts, excitation, correlations, systematic errors."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from jaxcslc._environment import as_jax
+from jaxcslc.friction import SlopeFit
+from jaxcslc.least_squares import Identification
+from jaxcslc.uncertainty import SystematicError
+
+from .._blocks import (
+    AbstractBlock,
+    Column,
+    Grid,
+    Message,
+    Messages,
+    Paragraph,
+    Section,
+    Table,
+    Tone,
+)
+from .._coefficient_table import coefficient_text
+from .._excitation import Excitation
+from .._matrix_chart import MatrixChart
+from .._model_description import legend_text
+from .._section import AbstractSection, AnyReport, counted, listed
+
+
+# Above this share of signs that no body has, torque or positions are likely to have the wrong one.
+_MANY_WRONG_SIGNS = 0.25
+# Pairs of coefficients that are listed as correlated.
+_MOST_PAIRS = 12
+_CORRELATED = 0.9
+# Coefficients whose correlations can be read from a picture.
+_MOST_LABELS = 120
+
+_VERDICT_TONES: dict[str, Tone] = {
+    "well determined": "good",
+    "systematic error": "caution",
+    "poorly determined": "caution",
+    "indistinguishable from zero": "plain",
+    "wrong sign": "bad",
+    "not determined": "bad",
+}
+_COLUMNS = {
+    "name": Column("name", numeric=False),
+    "value": Column("value"),
+    "low": Column("low"),
+    "high": Column("high"),
+    "unit": Column("unit", numeric=False),
+    "verdict": Column("verdict", numeric=False, tones=_VERDICT_TONES),
+    "reason": Column("reason", numeric=False, wide=True),
+    "expression": Column("expression", numeric=False, wide=True),
+}
+
+
+class CoefficientSection(AbstractSection):
+    """Values, intervals and verdicts of the coefficients."""
+
+    name = "coefficients"
+    entries = MappingProxyType({"unidentifiable": list})
+    position = 20
+
+    always = True
+
+    @classmethod
+    def document_of(cls, result: None, report: AnyReport) -> Mapping[str, Any]:
+        return {"unidentifiable": report.fit.unidentifiable}
+
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
+        yield [coefficient_text(report.rows())]
+
+    def tables(self, report: AnyReport) -> Mapping[str, Sequence[Mapping[str, Any]]]:
+        return {"coefficients.csv": report.rows()}
+
+    def messages(self, report: AnyReport) -> Iterator[Message]:
+        rows = report.rows()
+        kinds = Counter(row["verdict"] for row in rows)
+        others = ", ".join(
+            f"{kinds[kind]} {kind}"
+            for kind in _VERDICT_TONES
+            if kind != "well determined" and kinds[kind]
+        )
+        missing = kinds["not determined"]
+        yield Message(
+            f"{kinds['well determined']} of {counted(len(rows), 'coefficient')} well determined"
+            + (f"; {others}." if others else "."),
+            "caution" if missing or kinds["well determined"] < 0.5 * len(rows) else "good",
+        )
+        signed = sum(bool(row["positive"]) for row in rows)
+        if wrong := kinds["wrong sign"]:
+            many = wrong > _MANY_WRONG_SIGNS * signed
+            names = [str(row["name"]) for row in rows if row["verdict"] == "wrong sign"]
+            yield Message(
+                f"{listed(names)}: negative, and positive for every possible body"
+                + ("; check the signs of torques and positions." if many else "."),
+                "bad" if many else "caution",
+            )
+
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
+        fit, legend = report.fit, report.model.legend
+        rows = tuple(tuple(row[name] for name in _COLUMNS) for row in report.rows())
+        undetermined = tuple(Message(text, "bad") for text in fit.unidentifiable)
+        yield Section(
+            "Coefficients",
+            "Low and high are the ends of 95 % intervals, for"
+            f" {fit.errors} errors with {float(fit.degrees_of_freedom):.0f} degrees of freedom."
+            " Well determined: standard error at most a tenth of the value; systematic error: more"
+            " data of this motion would not help, another model or smoothing would.",
+            [
+                *([Messages(undetermined)] if undetermined else []),
+                *([] if legend is None else [Paragraph(f"{legend}.")]),
+                Table(tuple(_COLUMNS.values()), rows, name="coefficients-table"),
+            ],
+        )
+
+
+class SlopeSection(AbstractSection):
+    """Fitted slopes of static friction."""
+
+    name = "slopes"
+    results = MappingProxyType({"slopes": None})
+    entries = MappingProxyType({"slopes": list})
+
+    @classmethod
+    def document_of(cls, result: SlopeFit, report: AnyReport) -> Mapping[str, Any]:
+        columns = (report.model.output_names, result.slopes, result.slope_error)
+        kinds = result.network.friction_per_joint
+        return {
+            "slopes": [
+                {"joint": name, "slope": float(slope), "error": float(error)}
+                for name, slope, error, terms in zip(*columns, kinds, strict=True)
+                if "static" in terms
+            ]
+        }
+
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
+        joints = ", ".join(
+            f"{entry['joint']} {entry['slope']:.4g} ± {float(_open(entry['error'])):.2g}"
+            for entry in self.data["slopes"]
+        )
+        if joints:
+            yield [
+                f"slopes of static friction [s/rad or s/m]: {joints};"
+                " the intervals above allow for their errors"
+            ]
+
+
+class SystematicSection(AbstractSection):
+    """Errors of the fit that no residual shows, by cause."""
+
+    name = "systematic"
+    results = MappingProxyType({"systematic": None})
+    entries = MappingProxyType({"systematic_error": object})
+
+    @classmethod
+    def document_of(cls, result: SystematicError, report: AnyReport) -> Mapping[str, Any]:
+        return {"systematic_error": dict(result.parts)}
+
+    def result(self, name: str, report: AnyReport) -> SystematicError | None:
+        where, size = "systematic_error", len(report.names)
+        if self.data[where] is None:
+            return None
+        try:
+            parts = self.data[where].items()
+            arrays = {str(cause): np.array(values, float) for cause, values in parts}
+        except (AttributeError, TypeError, ValueError):
+            raise ValueError(f"{where}: expected numbers by cause") from None
+        for cause, values in arrays.items():
+            values[np.isnan(values)] = np.inf  # JSON has no number for it
+            if values.shape != (size,) or np.any(values < 0):
+                raise ValueError(f"{where}, {cause}: expected {size} numbers from 0 up")
+        return SystematicError(arrays) if arrays else None
+
+
+class ExcitationSection(AbstractSection):
+    """What the motion determines: rank, condition and correlations."""
+
+    name = "excitation"
+    results = MappingProxyType({"excitation": None})
+    entries = MappingProxyType({"least_determined": str, "excitation": dict})
+    position = 21
+
+    always = True
+
+    @classmethod
+    def document_of(cls, result: Excitation | None, report: AnyReport) -> Mapping[str, Any]:
+        if result is None:
+            return {}
+        numbers = ("condition", "smallest", "weakest", "length", "variance_inflation")
+        return {
+            "least_determined": result.worst_combination,
+            "excitation": {
+                **{name: getattr(result, name) for name in numbers},
+                "group_condition": dict(result.group_condition),
+            },
+        }
+
+    def result(self, name: str, report: AnyReport) -> Excitation | None:
+        data = self.data.get("excitation")
+        if data is None:
+            return None
+        groups = {group: _open(value) for group, value in data["group_condition"].items()}
+        numbers = {name: _open(value) for name, value in data.items() if name != "group_condition"}
+        return Excitation(**numbers, group_condition=groups, names=report.names)
+
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
+        fit, legend = report.fit, report.model.legend
+        fixed = report.section("groups")
+        fitted = len(report.names) - (0 if fixed is None else len(fixed.data["fixed"]))
+        systematic = getattr(report, "systematic", None)
+        causes = "" if systematic is None else "; and for systematic errors by "
+        causes += "" if systematic is None else ", ".join(systematic.parts)
+        text = f"rank {int(fit.rank)} of {fitted}, condition {float(fit.condition):.4g}"
+        if "least_determined" in self.data:
+            text += f"; least determined: {self.data['least_determined']}"
+        yield [
+            *([] if legend is None else [legend_text(legend)]),
+            f"low and high: 95 % intervals for {fit.errors} errors,"
+            f" {float(fit.degrees_of_freedom):.0f} degrees of freedom{causes}",
+            *(f"not determined: {sentence}" for sentence in fit.unidentifiable),
+            text,
+        ]
+
+    def messages(self, report: AnyReport) -> Iterator[Message]:
+        if not bool(report.fit.meaningful):
+            yield Message(
+                f"Condition number {float(report.fit.condition):.2g}: the motion does not tell the"
+                " coefficients apart, and no value means anything by itself.",
+                "bad",
+            )
+
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
+        excitation = self.result(self.name, report)
+        blocks: list[AbstractBlock] = []
+        tables: list[AbstractBlock] = []
+        if excitation is not None:
+            blocks.append(Paragraph(f"Least determined: {self.data['least_determined']}"))
+            columns = [Column("coefficients", numeric=False), Column("condition")]
+            rows = tuple(tuple(row.values()) for row in excitation.rows())
+            tables.append(Table(tuple(columns), rows, "Condition number", "excitation-table"))
+        pairs = _correlated(report.fit)
+        if pairs:
+            columns = (
+                Column("coefficient", numeric=False),
+                Column("and", numeric=False),
+                Column("correlation", digits=3),
+            )
+            tables.append(Table(columns, pairs, "Most correlated coefficients", "correlated"))
+        else:
+            tables.append(Paragraph("No two coefficients are correlated by more than 0.9."))
+        blocks.append(Grid(tuple(tables)))
+        if charts and 1 < len(report.names) <= _MOST_LABELS:
+            matrix = np.asarray(report.fit.correlation).tolist()
+            caption = "Correlations of the coefficients' errors"
+            blocks.append(MatrixChart(report.names, matrix, caption))
+        yield Section(
+            "Excitation and correlations",
+            "The condition number says by how much relative noise of the"
+            f" {report.model.output_quantity} is amplified in the coefficients: 1 at best, above a"
+            " hundred the motion hardly separates some of them. The errors of correlated"
+            " coefficients compensate each other: their sum or difference is better known than"
+            " they are.",
+            blocks,
+        )
+
+
+def _correlated(fit: Identification) -> tuple[tuple[str, str, float], ...]:
+    """Return the most correlated pairs of coefficients, the largest first."""
+    correlation = np.asarray(fit.correlation)
+    rows, columns = np.triu_indices(len(correlation), 1)
+    size = np.abs(correlation[rows, columns])
+    strongest = [i for i in np.argsort(-size, kind="stable")[:_MOST_PAIRS] if size[i] > _CORRELATED]
+    return tuple(
+        (fit.names[rows[i]], fit.names[columns[i]], float(correlation[rows[i], columns[i]]))
+        for i in strongest
+    )
+
+
+def _open(value: Any) -> Any:
+    """Return numbers that may be infinite, from JSON, which has none for it."""
+    if isinstance(value, list):
+        numbers = np.array(value, float)
+        return as_jax(np.where(np.isnan(numbers), np.inf, numbers))
+    return as_jax(np.float64(np.inf if value is None else value))

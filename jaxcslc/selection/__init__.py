@@ -1,0 +1,37 @@
+"""Choice of settings and friction terms by cross-validation within a recording.
+
+In: a network and a recording. Out: `Settings` or friction terms, with all trials.
+
+- `_selection`: `choose_settings`; `_candidates`: what it chooses among.
+- `_search`, `_scoring`: the search along axes, and the held-out score.
+- `_alignment`: the torque alignment.
+- `_friction`: friction terms, joint by joint.
+- `_section`: the part of a long recording that is used.
+"""
+
+from ._candidates import Candidates as Candidates
+from ._friction import (
+    FRICTION_CANDIDATES as FRICTION_CANDIDATES,
+    PRE_SLIDING as PRE_SLIDING,
+    FrictionChoice as FrictionChoice,
+    FrictionTrial as FrictionTrial,
+    choose_friction as choose_friction,
+)
+from ._section import Segment as Segment, section_of as section_of, sections_of as sections_of
+from ._selection import (
+    Selection as Selection,
+    Trial as Trial,
+    choose_settings as choose_settings,
+    selection_with_motion as selection_with_motion,
+)
+
+
+__all__ = [
+    "Candidates",
+    "FrictionChoice",
+    "FrictionTrial",
+    "Selection",
+    "Trial",
+    "choose_friction",
+    "choose_settings",
+]

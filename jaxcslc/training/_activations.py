@@ -1,0 +1,116 @@
+"""Activations of nodes and their derivatives (thesis 3.3)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+Values = Float[Array, "..."]
+
+
+@dataclass(frozen=True)
+class Activation:
+    """Activation of a node: a function of the sum of its weighted inputs (thesis 3.3).
+
+    **Attributes**
+
+    - `name`: for messages.
+    - `value`: of the sum, elementwise.
+    - `slope`: its derivative, as a function of the sum; `None` where there is none, as for the
+      hard limiter, and then backpropagation refuses it.
+    - `low`, `high`: what `value` cannot leave: targets outside can never be met.
+    - `increasing`: or strictly decreasing; PERAL asks (Eqn. 6.2-1).
+
+    >>> import jax.numpy as jnp
+    >>> from jaxcslc.training import HYPERBOLIC_TANGENT
+    >>> round(float(HYPERBOLIC_TANGENT.slope(jnp.asarray(0.0))), 3)
+    1.0
+    """
+
+    name: str
+    value: Callable[[Values], Values]
+    slope: Callable[[Values], Values] | None
+    low: float
+    high: float
+    increasing: bool = True
+
+
+def _step(s: Values) -> Values:
+    """Return one from zero on, and zero below (Eqn. 3.3-2)."""
+    return jnp.where(s >= 0, 1.0, 0.0).astype(s.dtype)
+
+
+def _identity(s: Values) -> Values:
+    return s
+
+
+def _logistic_slope(s: Values) -> Values:
+    y = jax.nn.sigmoid(s)
+    return y * (1.0 - y)
+
+
+def _tanh_slope(s: Values) -> Values:
+    return 1.0 - jnp.tanh(s) ** 2
+
+
+INFINITE = float("inf")
+
+#: Zero or one (Eqn. 3.3-2): the historical node; only the perceptron rule trains it.
+HARD_LIMITER = Activation("hard limiter", _step, None, 0.0, 1.0)
+#: The sum itself (3.3.2): one minimum, and all that a CSLC is made of.
+LINEAR_COMBINER = Activation("linear combiner", _identity, jnp.ones_like, -INFINITE, INFINITE)
+#: 1 / (1 + exp(-s)) (3.3.3).
+LOGISTIC = Activation("logistic", jax.nn.sigmoid, _logistic_slope, 0.0, 1.0)
+#: tanh(s) (3.3.3).
+HYPERBOLIC_TANGENT = Activation("hyperbolic tangent", jnp.tanh, _tanh_slope, -1.0, 1.0)
+
+ACTIVATIONS = {
+    "hard limiter": HARD_LIMITER,
+    "linear combiner": LINEAR_COMBINER,
+    "logistic": LOGISTIC,
+    "hyperbolic tangent": HYPERBOLIC_TANGENT,
+}
+
+
+@dataclass(frozen=True)
+class _Mirrored:
+    """f(-s), and its derivative; a class, so that equal ones are equal and compile once."""
+
+    function: Callable[[Values], Values]
+    factor: float
+
+    def __call__(self, s: Values) -> Values:
+        return self.factor * self.function(-s)
+
+
+def decreasing(activation: Activation) -> Activation:
+    """The activation of -s: strictly decreasing where the given one increases.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxcslc.training import LOGISTIC, decreasing
+    >>> falling = decreasing(LOGISTIC)
+    >>> falling.increasing, bool(falling.value(jnp.asarray(1.0)) < 0.5)
+    (False, True)
+    """
+    return Activation(
+        f"decreasing {activation.name}",
+        _Mirrored(activation.value, 1.0),
+        None if activation.slope is None else _Mirrored(activation.slope, -1.0),
+        activation.low,
+        activation.high,
+        not activation.increasing,
+    )
+
+
+def activation_named(activation: str | Activation) -> Activation:
+    """**Raises** `ValueError` for a name that is none of the four."""
+    if isinstance(activation, Activation):
+        return activation
+    if activation not in ACTIVATIONS:
+        raise ValueError(
+            f"activation: expected one of {', '.join(ACTIVATIONS)}, got {activation!r}"
+        )
+    return ACTIVATIONS[activation]

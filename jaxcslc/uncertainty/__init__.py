@@ -1,0 +1,51 @@
+"""Errors of a fit on held-out data, systematic errors, and agreement of recordings.
+
+In: a fit, its patterns and others. Out: figures of how far the coefficients can be trusted.
+
+- `_held_out`: errors on data that was not fitted, and what is beyond chance.
+- `_systematic_error`, `_systematic_problem`: errors by smoothing, timing and missing terms.
+- `_several`: joint fit of several recordings, and whether they agree.
+"""
+
+from ._held_out import (
+    FEWEST_SAMPLES as FEWEST_SAMPLES,
+    HeldOut as HeldOut,
+    RelativeError as RelativeError,
+    Source as Source,
+    cross_validated_error as cross_validated_error,
+    held_out_error as held_out_error,
+    held_out_from as held_out_from,
+    judged_errors as judged_errors,
+    left_out_error as left_out_error,
+)
+from ._several import (
+    RecordingAgreement as RecordingAgreement,
+    SeveralFit as SeveralFit,
+    fit_recordings as fit_recordings,
+    several_text as several_text,
+)
+from ._systematic_error import (
+    SystematicError as SystematicError,
+    missing_terms as missing_terms,
+    standard_uncertainty as standard_uncertainty,
+    uncertainty_interval as uncertainty_interval,
+)
+from ._systematic_problem import (
+    SystematicProblem as SystematicProblem,
+    systematic_error as systematic_error,
+)
+
+
+__all__ = [
+    "HeldOut",
+    "RecordingAgreement",
+    "RelativeError",
+    "SeveralFit",
+    "SystematicError",
+    "cross_validated_error",
+    "fit_recordings",
+    "held_out_error",
+    "standard_uncertainty",
+    "systematic_error",
+    "uncertainty_interval",
+]

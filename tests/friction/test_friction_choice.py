@@ -1,0 +1,175 @@
+"""Friction terms chosen joint by joint on motion that was left out."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import jaxcslc as jc
+from jaxcslc.cli._app import app
+from jaxcslc.selection import FrictionChoice, choose_friction
+
+
+TRUE = (("viscous", "dry", "offset"), ("viscous", "dry", "static"))
+
+
+def arm() -> jc.Manipulator:
+    return jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0))
+
+
+def recording(network: jc.CSLC, noise: float = 0.02) -> jc.Recording:
+    """Motion at all speeds; a torque offset of joint 1, static friction of joint 2."""
+    t = 0.01 * np.arange(1500)[:, None]
+    rate, size = np.array([[2.0, 1.3], [3.1, 4.7]]), np.array([[0.9, 0.7], [0.3, 0.2]])
+    q = np.sum([s * np.sin(r * t) for r, s in zip(rate, size, strict=True)], axis=0)
+    qd = np.sum([s * r * np.cos(r * t) for r, s in zip(rate, size, strict=True)], axis=0)
+    qdd = np.sum([-s * r**2 * np.sin(r * t) for r, s in zip(rate, size, strict=True)], axis=0)
+    true = network.with_joint_friction(TRUE).with_static_slopes([10.0, 6.0])
+    k = np.full(true.size, 0.4)
+    k[true.layout.of("offset")], k[true.layout.of("static")] = 0.5, 0.8
+    rng = np.random.default_rng(0)
+    torque = np.asarray(true.torque(k, q, qd, qdd)) + noise * rng.normal(size=q.shape)
+    return jc.Recording(t[:, 0], np.asarray(q), torque)
+
+
+@pytest.fixture(scope="module")
+def choice() -> FrictionChoice:
+    network = jc.derive(arm(), lengths="numeric")
+    return choose_friction(
+        network, recording(network), jc.Settings(), candidates=("offset", "static", "root")
+    )
+
+
+def test_each_joint_gets_its_terms(choice: FrictionChoice) -> None:
+    assert choice.network.robot.friction_per_joint == TRUE
+
+
+def test_it_says_what_each_was_worth(choice: FrictionChoice) -> None:
+    first, second = choice.sentences
+    assert first.startswith("friction of joint 1, held-out error with a term over that without: ")
+    assert "offset -" in first and ", used" in first.split("offset")[1].split(";")[0]
+    assert ", used" in second.split("static")[1].split(";")[0]
+    worth = {(t.joint, t.kind): t.relative.change for t in choice.trials if t.used}
+    assert worth[1, "offset"] < np.log(0.5) and worth[2, "static"] < np.log(0.7)
+
+
+def test_nothing_is_added_to_a_model_that_is_right() -> None:
+    network = jc.derive(arm(), lengths="numeric")
+    t = 0.01 * np.arange(1000)[:, None]
+    rate = np.array([2.0, 3.1])
+    motion = np.sin(rate * t), rate * np.cos(rate * t), -(rate**2) * np.sin(rate * t)
+    torque = np.asarray(network.torque(np.full(network.size, 0.3), *motion))
+    torque = torque + 0.05 * np.random.default_rng(0).normal(size=torque.shape)
+    exact = jc.Recording(t[:, 0], motion[0], torque)
+    kept = choose_friction(network, exact, jc.Settings(), candidates=("offset", "root"))
+    assert kept.network.robot.friction_per_joint == (("viscous", "dry"),) * 2
+    assert not any(trial.used for trial in kept.trials)
+
+
+def test_collinear_terms_are_not_tried() -> None:
+    network = jc.derive(arm().with_friction("viscous", "asymmetric_dry"), lengths="numeric")
+    result = choose_friction(
+        network, recording(jc.derive(arm(), lengths="numeric")), candidates=("offset",)
+    )
+    assert result.trials == ()
+
+
+class TestFrictionOfEachDirection:
+    def test_is_chosen_with_its_offset(self) -> None:
+        """One by one, viscous friction of each direction and an offset would stand in for one
+        another."""
+        network = jc.derive(arm(), lengths="numeric")
+        t = 0.01 * np.arange(1500)[:, None]
+        rate = np.array([2.0, 3.1])
+        phase = rate * t + 0.4 * np.sin(0.7 * t)
+        motion = np.sin(phase), np.gradient(np.sin(phase), 0.01, axis=0)
+        motion += (np.gradient(motion[1], 0.01, axis=0),)
+        true = network.with_joint_friction(
+            [("dry", "asymmetric_viscous", "offset"), ("viscous", "dry")]
+        )
+        values = {"kvp1": 0.5, "kvn1": 0.2, "ko1": 0.2}
+        k = np.array([values.get(name, 0.4) for name in true.names])
+        torque = np.asarray(true.torque(k, *motion))
+        torque = torque + 0.02 * np.random.default_rng(0).normal(size=torque.shape)
+        candidates = ("offset", "asymmetric_viscous", "asymmetric_viscous and offset")
+        choice = choose_friction(
+            network,
+            jc.Recording(t[:, 0], np.asarray(motion[0]), torque),
+            jc.Settings(),
+            candidates=candidates,
+        )
+        first, second = choice.network.robot.friction_per_joint
+        assert set(first) == {"dry", "asymmetric_viscous", "offset"}
+        assert set(second) == {"viscous", "dry"}
+
+    def test_replaces_that_of_both(self) -> None:
+        network = jc.derive(arm(), lengths="numeric")
+        tried = choose_friction(
+            network, recording(network), jc.Settings(), candidates=("asymmetric_viscous",)
+        ).trials
+        assert [trial.joint for trial in tried[:2]] == [1, 2]
+        assert all(trial.possible for trial in tried)
+
+
+def test_an_offset_that_gravity_explains_is_not_used() -> None:
+    """In a range of 0.06 rad, sine and cosine of gravity are a constant and a line."""
+    pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    network = jc.derive(pendulum, lengths="numeric")
+    t = 0.01 * np.arange(1500)[:, None]
+    motion = 0.03 * np.sin(2 * t) + 0.7, 0.06 * np.cos(2 * t), -0.12 * np.sin(2 * t)
+    true = network.with_joint_friction([("viscous", "dry", "offset")])
+    torque = np.asarray(true.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.4, 0.5]), *motion))
+    torque = torque + 0.02 * np.random.default_rng(0).normal(size=torque.shape)
+    noisy = jc.Recording(t[:, 0], motion[0], torque)
+    choice = choose_friction(network, noisy, jc.Settings(), candidates=("offset",))
+    assert choice.network.names == network.names
+    assert [trial.possible for trial in choice.trials] == [False]
+    assert choice.sentences[0].endswith("offset not told from gravity")
+
+
+def test_maximum_likelihood_has_static_friction() -> None:
+    """Where there is dry friction: trials on smoothed motion do not show it."""
+    network = jc.derive(arm().with_friction("viscous", joint=2), lengths="numeric")
+    choice = FrictionChoice(network, ()).with_static_friction()
+    assert choice.network.robot.friction_per_joint == (("viscous", "dry", "static"), ("viscous",))
+    assert choice.sentences == (choice.note,)
+    assert "'static' added, joint 1:" in str(choice)
+    assert choice.with_static_friction() is choice
+
+
+def test_the_command(tmp_path: Path) -> None:
+    """What was tried is among the notes, and the report is of the chosen terms."""
+    robot = tmp_path / "pendulum.toml"
+    robot.write_text('name = "pendulum"\ngravity = [0, -9.81, 0]\n[[joint]]\n', encoding="utf-8")
+    network = jc.derive(jc.load_robot(robot), lengths="numeric")
+    true = network.with_joint_friction([("viscous", "dry", "offset")])
+    t = 0.01 * np.arange(800)[:, None]
+    q, qd, qdd = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
+    torque = np.asarray(true.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.1, 0.4]), q, qd, qdd))
+    torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
+    table = np.concatenate([t, q, torque], axis=1)
+    header = "time,position_1,torque_1"
+    np.savetxt(tmp_path / "train.csv", table, delimiter=",", header=header, comments="")
+    (tmp_path / "settings.json").write_text("{}", encoding="utf-8")
+    names = (str(tmp_path / name) for name in ("pendulum.toml", "train.csv", "settings.json", "o"))
+    robot_file, train, settings, output = names
+    options = ["--friction", "auto", "--settings", settings, "-o", output]
+    result = CliRunner().invoke(app, ["identify", robot_file, train, *options])
+    assert result.exit_code == 0, result.output
+    assert "note: friction of joint 1, held-out error with a term over" in result.output
+    assert "; pre-sliding " in result.output
+    assert "ko1" in result.output
+
+
+class TestJointFriction:
+    def test_is_that_of_a_network_derived_so(self) -> None:
+        network = jc.derive(arm(), lengths="numeric").with_joint_friction(TRUE)
+        robot = arm()
+        for joint, kinds in enumerate(TRUE, start=1):
+            robot = robot.with_friction(*kinds, joint=joint)
+        assert network.names == jc.derive(robot, lengths="numeric").names
+
+    def test_another_number_of_joints(self) -> None:
+        with pytest.raises(ValueError, match="2 joints' friction, got 3"):
+            jc.derive(arm(), lengths="numeric").with_joint_friction([("dry",)] * 3)

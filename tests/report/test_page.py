@@ -1,0 +1,206 @@
+"""Pages and charts: what is escaped, what is drawn, and what the drawings keep of their data."""
+
+import base64
+import importlib.util
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import plotly.graph_objects
+import pytest
+
+from jaxcslc.report import (
+    AbstractChart,
+    ArmChart,
+    Column,
+    Curve,
+    Ellipsoid,
+    MatrixChart,
+    Message,
+    Page,
+    Panel,
+    PanelChart,
+    Paragraph,
+    Section,
+    Table,
+    envelope,
+    intervals,
+    render,
+)
+from jaxcslc.report._render import _template  # pyright: ignore[reportPrivateUsage]
+
+
+NAME = "<b>&\"'</script>$x$"
+
+LINE = Curve(NAME, (0.0, 1.0, 2.0), (1.0, float("nan"), 3.0), "measured")
+CHARTS: list[AbstractChart] = [
+    PanelChart((Panel(NAME, (LINE,), ((0.5, 1.0),)), Panel("low", (LINE,))), "time [s]", NAME),
+    MatrixChart((NAME, "kv1"), ((1.0, -0.5), (-0.5, 1.0)), NAME),
+    ArmChart(np.ones((1, 2, 3)), (Ellipsoid(NAME, np.zeros(3), np.eye(3)),), NAME),
+]
+
+
+class Reader(HTMLParser):
+    """Tags, texts outside scripts and styles, and the JSON of charts."""
+
+    def __init__(self, text: str):
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text: list[str] = []
+        self._silent = False
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        self._silent = tag in ("script", "style")
+
+    def handle_endtag(self, tag: str) -> None:
+        del tag
+        self._silent = False
+
+    def handle_data(self, data: str) -> None:
+        if not self._silent and data.strip():
+            self.text.append(data.strip())
+
+
+def page_with(*blocks: Any) -> Page:
+    messages = (Message(NAME, "bad"),)
+    return Page(NAME, NAME, NAME, "bad", messages, (Section("A section", NAME, blocks),))
+
+
+@pytest.mark.parametrize("interactive", [True, False])
+def test_names_are_texts_wherever_they_stand(interactive: bool) -> None:
+    table = Table((Column(NAME, explanation=NAME), Column("x")), ((NAME, 1.5),), NAME, NAME)
+    reader = Reader(render(page_with(Paragraph(NAME), table, *CHARTS), interactive=interactive))
+    assert "b" not in {tag for tag, _ in reader.tags}
+    # Title, heading, subtitle, headline, message, lead, paragraph, caption, column, cell, charts.
+    assert reader.text.count(NAME) == 10 + len(CHARTS)
+    outside = [
+        value
+        for _, attributes in reader.tags
+        for name, value in attributes.items()
+        if name in ("src", "href") and not (value or "").startswith(("data:", "#"))
+    ]
+    assert outside == []
+
+
+def test_numbers_are_shown_short_and_sorted_whole() -> None:
+    column = Column("value", digits=3)
+    assert column.text(1234.567) == "1.23e+03" and float(column.order(1234.567)) == 1234.567
+    assert column.text(float("nan")) == column.order(float("nan")) == ""
+    assert Column("angle", decimals=2).text(-0.001) == "0.00"
+    reader = Reader(render(page_with(Table((column,), ((1234.567,),))), interactive=False))
+    (cell,) = (attributes for tag, attributes in reader.tags if tag == "td")
+    assert cell["data-order"] == "1234.567"
+
+
+@pytest.mark.parametrize("chart", CHARTS, ids=lambda chart: type(chart).__name__)
+def test_charts_are_valid_in_plotly(chart: AbstractChart) -> None:
+    """plotly's schema knows every entry, and finds the numbers that went in."""
+    described = chart.plotly_figure()
+    figure = plotly.graph_objects.Figure(described)
+    assert len(figure.data) == len(described["data"])
+    assert figure.layout.height == chart.height
+    assert "<b>" not in str(described)
+
+
+@pytest.mark.parametrize(("size", "labelled"), [(50, 50), (62, 31), (120, 40)])
+def test_labels_of_a_large_matrix_do_not_overlap(size: int, labelled: int) -> None:
+    """Ten pixels each are left at 50; the names of all stand in what a pointer shows."""
+    names = tuple(f"kB{i}" for i in range(size))
+    chart = MatrixChart(names, np.eye(size).tolist(), "correlations")
+    described = chart.plotly_figure()
+    axis = described["layout"]["xaxis"]
+    assert len(axis["tickvals"]) == labelled
+    assert axis["ticktext"] == [names[i] for i in axis["tickvals"]]
+    assert described["data"][0]["text"][1][2] == "kB1, kB2"
+    assert len(chart.figure().axes[0].get_xticklabels()) == labelled
+
+
+@pytest.mark.parametrize("chart", CHARTS, ids=lambda chart: type(chart).__name__)
+def test_static_pictures_are_in_the_page(chart: AbstractChart) -> None:
+    reader = Reader(render(page_with(chart), interactive=False))
+    (image,) = (attributes for tag, attributes in reader.tags if tag == "img")
+    data = base64.b64decode((image["src"] or "").removeprefix("data:image/png;base64,"))
+    assert data[:4] == b"\x89PNG" and image["alt"] == NAME
+
+
+def test_a_page_without_libraries_for_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing(name: str) -> None:
+        del name
+
+    monkeypatch.setattr(importlib.util, "find_spec", nothing)
+    text = render(page_with(*CHARTS))
+    assert "pip install" in text and "<img" not in text and len(text) < 50_000
+
+
+def test_panels_share_their_time_and_lie_below_each_other() -> None:
+    layout = CHARTS[0].plotly_figure()["layout"]
+    assert layout["xaxis2"]["matches"] == "x"
+    upper, lower = layout["yaxis"]["domain"], layout["yaxis2"]["domain"]
+    assert upper[1] == 1.0 and lower[0] == 0.0 and lower[1] < upper[0]
+
+
+def test_envelope_keeps_extremes_and_gaps(rng: np.random.Generator) -> None:
+    x, y = np.arange(5000.0), rng.normal(size=5000)
+    y[2000:3000] = np.nan
+    fewer_x, fewer_y = envelope(x, y, 200)
+    assert len(fewer_x) <= 200 and np.all(np.diff(fewer_x) > 0)
+    np.testing.assert_array_equal(fewer_y, y[fewer_x.astype(int)])
+    assert np.nanmax(fewer_y) == np.nanmax(y) and np.nanmin(fewer_y) == np.nanmin(y)
+    assert np.any(np.isnan(fewer_y[(fewer_x >= 2000) & (fewer_x < 3000)]))
+    same_x, same_y = envelope(x, y, 5000)
+    assert same_x is x and same_y is y
+    with pytest.raises(ValueError, match="at least 2 points, got 1"):
+        envelope(x, y, 1)
+
+
+def test_intervals_cover_what_is_masked_and_no_other(rng: np.random.Generator) -> None:
+    x, mask = np.arange(500.0), rng.random(500) < 0.3
+    covered = np.zeros(500, bool)
+    for start, end in intervals(x, mask):
+        covered |= (x >= start) & (x <= end)
+    np.testing.assert_array_equal(covered, mask)
+    few = intervals(x, mask, most=7)
+    assert len(few) == 7
+    assert np.all(np.any([(x >= a) & (x <= b) for a, b in few], axis=0)[mask])
+    assert intervals(x, np.zeros(500, bool)) == []
+
+
+def test_an_ellipsoid_is_drawn_where_it_is() -> None:
+    """Its surface and its outlines satisfy the ellipsoid's equation."""
+    angle = 0.4
+    turn = np.array(
+        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    )
+    body = Ellipsoid("link", np.array([0.1, -0.2, 0.3]), turn * [0.3, 0.1, 0.05])
+    inverse = np.linalg.inv(body.axes)
+    points = body.surface().reshape(3, -1) - body.centre[:, None]
+    np.testing.assert_allclose(np.linalg.norm(inverse @ points, axis=0), 1.0, rtol=1e-12)
+    outline = body.outline(0, 1) - body.centre[:2, None]
+    shadow = np.linalg.inv(body.axes[:2] @ body.axes[:2].T)
+    np.testing.assert_allclose(np.einsum("ai,ab,bi->i", outline, shadow, outline), 1.0)
+
+
+def test_templates_are_kept_where_jax_keeps_its_programs(tmp_path: Path) -> None:
+    """And a file that is cut off is no reason to fail."""
+    page = Page(NAME, "", "", "plain", (), (Section("errors", "", (Paragraph(NAME),)),))
+    without = render(page, interactive=False)
+    config: Any = jax.config
+    before = config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "cache"))
+    try:
+        for _ in range(2):
+            _template.cache_clear()
+            assert render(page, interactive=False) == without
+            kept = list((tmp_path / "cache").glob("*.jinja"))
+            assert kept
+            for path in kept:
+                path.write_bytes(path.read_bytes()[:40])
+        _template.cache_clear()
+        assert render(page, interactive=False) == without
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
+        _template.cache_clear()
