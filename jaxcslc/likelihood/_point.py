@@ -22,7 +22,7 @@ class UnknownLayout:
       coefficients, and `"slopes"`, logarithms of static friction's slopes; the last one is
       `"offset"`, of the encoders of all recordings. Between them are those of added blocks.
 
-    >>> layout = Layout((("k", 3), ("slopes", 1), ("offset", 1))).with_part("gears", 4)
+    >>> layout = UnknownLayout((("k", 3), ("slopes", 1), ("offset", 1))).with_part("gears", 4)
     >>> layout.part("gears"), layout.size
     (slice(4, 8, None), 9)
     """
