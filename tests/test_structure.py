@@ -1,6 +1,7 @@
-"""Functions of the command stay short."""
+"""Modules say what they hold, by names that exist; functions of the command stay short."""
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -32,3 +33,32 @@ def test_functions_of_the_command_are_short() -> None:
         if lines > MOST_LINES_OF_FUNCTION
     }
     assert long == set()
+
+
+def test_every_module_says_what_it_holds() -> None:
+    silent = {
+        str(path.relative_to(ROOT))
+        for path in files_of("jaxcslc")
+        if ast.get_docstring(ast.parse(path.read_text("utf-8"))) is None
+    }
+    assert silent <= {"jaxcslc/__main__.py"}
+
+
+def test_docstrings_of_packages_name_modules_that_exist() -> None:
+    """A map that names a module which was renamed misleads whoever follows it."""
+    missing = {
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in files_of("jaxcslc")
+        if path.name == "__init__.py"
+        for name in modules_named(ast.get_docstring(ast.parse(path.read_text("utf-8"))) or "")
+        if not any(path.parent.rglob(f"{name}.py"))
+    }
+    assert missing == set()
+
+
+def modules_named(text: str) -> set[str]:
+    return set(re.findall(r"(?<![\w.])_[a-z]\w+", text))
+
+
+def test_modules_are_found_in_text() -> None:
+    assert modules_named("`_search`: a loop. a._b ──► _band") == {"_search", "_band"}

@@ -17,7 +17,7 @@ _GROWTH, _DECAY = 2.0, 5.0
 
 
 class BoundedMinimum(NamedTuple):
-    """Where a sum of squares is least.
+    """Minimum of a sum of squares within bounds.
 
     **Attributes**
 

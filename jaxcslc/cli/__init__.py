@@ -3,7 +3,7 @@
 - `_app`: the command line; `_process`: settings of its process.
 - `_check`, `_compare`, `_constants`, `_derive`, `_excite`, `_export`, `_identify`, `_payload`:
   a command each.
-- `_common` and `*_options`: options and helpers that commands share.
+- `_common`, `_spread` and the modules of options: options and helpers that commands share.
 """
 
 import sys

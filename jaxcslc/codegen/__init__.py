@@ -1,11 +1,13 @@
-"""Generated code: one graph of expressions, evaluated by NumPy, JAX, C or CUDA.
+"""Generated code: one graph of expressions, and back ends for NumPy, JAX, C and CUDA.
 
-    arithmetic ──► _expressions ──┬──► _program (NumPy) ──► _compiled_program (C, once compiled)
-    JAX function ──► _traced ─────┤──► _arrays (NumPy, JAX)
-                                  └──► _kernel_text ──► _c_library (C), _cuda (NVIDIA GPU)
+    JAX function ──► _traced ──┐
+    dynamics, laws ────────────┴──► _expressions ──┬──► _arrays       arrays of NumPy or JAX
+                                                   ├──► _programs     blocks of NumPy arrays, or C
+                                                   └──► _c_text       statements of C and CUDA C
+                                                          └──► _c_function, _cuda
 
-`_derivative` adds derivatives to a graph, `_sines_text` is C text of sines and cosines, and
-`_compilation` splits compiled functions.
+`_compilation` says how JAX compiles: per platform, in blocks, in stages. The package knows nothing
+of robots and imports no other package of the project.
 """
 
 from ._arrays import (

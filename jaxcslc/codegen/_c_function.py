@@ -94,7 +94,7 @@ class CRows:
     written: bool = False
 
     def passed(self, rows: Sequence[np.ndarray], lengths: dict[str, int]) -> Any:
-        """As of `CArray`."""
+        """Return the argument as `CArray.passed` does."""
         of_row = CArray(self.axis, written=self.written)
         pointers = [of_row.passed(row, lengths) for row in rows]
         addresses: Any = (ctypes.c_void_p * len(rows))(*(x.value for x in pointers))
@@ -132,12 +132,12 @@ class CFunction:
 
     @property
     def is_available(self) -> bool:
-        """Whether it can be called, compiled now if it has to be: there is a compiler."""
+        """True if it can be called; compiled now if there is a compiler."""
         return _library(self.source, self.options, _compiler()) is not None
 
     @property
     def is_kept(self) -> bool:
-        """Whether it can be called without waiting for a compiler.
+        """True if it can be called without waiting for a compiler.
 
         If not, a thread begins to compile it for a later process, which the end of this one waits
         for: only in programs that allow processes beside them.

@@ -145,7 +145,7 @@ class _Written(NamedTuple):
     precedence: int = _ATOM
 
     def within(self, least: int) -> str:
-        """As an operand, in brackets if it binds less than it must."""
+        """Return the text as an operand, in brackets if it binds less than it must."""
         return self.text if self.precedence >= least else f"({self.text})"
 
 

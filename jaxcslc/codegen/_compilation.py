@@ -1,4 +1,4 @@
-"""How JAX compiles: for a platform, in blocks of samples, in stages."""
+"""Compilation by JAX: for a platform, in blocks of samples, in stages."""
 
 from collections.abc import Callable
 from functools import partial

@@ -45,7 +45,7 @@ class Expressions:
         return self._value(Operation("input", text=text))
 
     def inputs(self, name: str, count: int) -> list["Value"]:
-        """So many inputs: `name[0]`, `name[1]` and so on."""
+        """Return so many inputs: `name[0]`, `name[1]` and so on."""
         return [self.input(f"{name}[{i}]") for i in range(count)]
 
     def constant(self, number: float) -> "Value":

@@ -207,7 +207,7 @@ class CompiledProgram:
 
     @cached_property
     def columns(self) -> CFunction:
-        """All of it but sines and cosines by C code, for rows of inputs and rows of outputs."""
+        """Return the C function of everything except sines and cosines, over rows of numbers."""
         rows = CRows("samples"), CRows("samples", written=True)
         kinds = (*rows, CArray("rows block", written=True), LONG)
         return CFunction(self.source, "columns", kinds, _OPTIONS)

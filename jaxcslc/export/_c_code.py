@@ -163,7 +163,7 @@ OPERATIONS = (
         has_friction=True,
     ),
 )
-"""What the C code of every network offers: a new function is one entry and what computes it."""
+"""Functions of the C code of every network: a new function is one entry and what computes it."""
 
 STATE_OPERATIONS = (
     RobotFunction(
@@ -174,7 +174,7 @@ STATE_OPERATIONS = (
         pre_sliding,
     ),
 )
-"""What it offers where dry friction yields before it slides."""
+"""Functions of networks with pre-sliding friction."""
 
 
 @dataclass(frozen=True)

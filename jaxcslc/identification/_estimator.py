@@ -1,4 +1,4 @@
-"""What an estimator is: an object that turns a problem into coefficients and declares its limits.
+"""Estimators: objects that turn a problem into coefficients and declare their limits.
 
 A new estimator is a file beside this one with a subclass of `AbstractEstimator`, and its line in
 `ESTIMATORS` (`__init__.py`). `fit` is enough: by default its fit is judged on the last part of each
@@ -88,7 +88,7 @@ for them."""
 
 
 class AbstractEstimator(abc.ABC):
-    """From a problem to coefficients.
+    """Estimator: it turns a problem into coefficients.
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.identification import ESTIMATORS

@@ -1,4 +1,4 @@
-"""What is asked of `identify`, and the one table of what is not combined.
+"""Requests to `identify`, and the one table of what is not combined.
 
 Each row of `EXCLUSIONS` names features and holds the text of the error. What an estimator can be
 combined with, it declares itself (`AbstractEstimator.supports`). `check_request` is called once,
@@ -19,7 +19,7 @@ from ..selection import PRE_SLIDING
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Request:
-    """What is asked of `identify`; fields as its arguments.
+    """Arguments of `identify`, as one record.
 
     - `network`: with the friction that is fitted, once that is chosen.
     - `training`: by name.
@@ -58,7 +58,7 @@ class Request:
 
     @property
     def likelihood_options(self) -> MaximumLikelihood:
-        """How maximum likelihood is fitted."""
+        """Options of maximum likelihood."""
         return self.likelihood or MaximumLikelihood()
 
 
@@ -187,7 +187,7 @@ EXCLUSIONS = (
         )
     ),
 )
-"""What is not combined, in the order in which it is looked for."""
+"""Features that are not combined, in the order in which it is looked for."""
 
 
 def check_request(request: Request) -> None:

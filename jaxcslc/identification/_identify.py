@@ -1,7 +1,7 @@
 """`identify`: from recordings of a robot to a report, by one sequence of steps.
 
     request ──► friction? ──► problem ──► estimator ──► judgement ──► report
-    _exclusions               _problem    estimators/                  `_report`
+    _exclusions               _problem    _registry
 
 One recording is several of one. What is not combined is said in one table (`_exclusions`).
 """
@@ -255,7 +255,7 @@ def _report(judged: Judged, friction: FrictionStates, data_check: DataCheck | No
 
 
 def _recording_of(judged: Judged) -> Recording:
-    """What was fitted, as one recording: several as they were smoothed, one after the other."""
+    """Return what was fitted as one recording: several, as they were smoothed, in sequence."""
     if len(judged.problem.recordings) == 1:
         return judged.problem.main.recording
     together = judged.problem.patterns["training"]

@@ -44,7 +44,7 @@ class ChosenFriction:
 
 
 class FrictionStates(NamedTuple):
-    """What is reported of friction.
+    """Results on friction, for the report.
 
     - `terms`: that were tried; None if friction was not chosen.
     - `pre_sliding`: dry friction with states; None if none is used.

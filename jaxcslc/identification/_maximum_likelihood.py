@@ -212,7 +212,7 @@ def _has_static_friction(network: CSLC) -> bool:
 
 
 def _may_have_bodies(request: Request) -> bool:
-    """Whether the search may be one of possible bodies."""
+    """Return whether the search may be restricted to possible bodies."""
     priors = (request.prior, request.likelihood_options.prior)
     return request.possible == "always" or any(x is not None and x.links for x in priors)
 
@@ -244,7 +244,7 @@ def _fit_before(
 
 
 def _sent(request: Request, settings: Settings) -> list[Any]:
-    """Both fits of `LikelihoodFits`, as another process sends them."""
+    """Return both fits of `LikelihoodFits`, as another process sends them."""
     options = options_for(request.likelihood_options, settings)
     lag = settings.preparation.torque_lag
     recordings = [without_lag(recording, lag) for recording in request.training.values()]
@@ -510,7 +510,10 @@ def _comparison(
     relative: RelativeError,
     better: bool,
 ) -> EstimatorComparison:
-    """Both estimators beside each other; `error`: of maximum likelihood, `better`: its use."""
+    """Return the comparison of both estimators.
+
+    `error` is that of maximum likelihood; `better`: it is used.
+    """
     assert isinstance(ours.source, LikelihoodFit)
     mask = np.asarray(unfitted.patterns.mask)
     least_squares = dataclasses.replace(unfitted.least_squares, lengths=ours.lengths)

@@ -1,7 +1,7 @@
 """What estimators are given: recordings of one robot, with settings, patterns and friction.
 
 `prepare` chooses settings, one recording being several of one; `with_friction` then fits what the
-network is not linear in (slopes of static friction, loads). Estimators are in `estimators/`.
+network is not linear in (slopes of static friction, loads). `_registry` names the estimators.
 """
 
 import contextlib
@@ -31,6 +31,7 @@ from ..selection import (
     Segment,
     Selection,
     choose_settings,
+    motion_part,
     section_of,
     sections_of,
     selection_with_motion,
@@ -82,7 +83,7 @@ class PreparedRecording:
 
     @cached_property
     def patterns(self) -> Patterns:
-        """What a fit sees of the recording."""
+        """Patterns of the recording, as a fit sees them."""
         with recording_named(self.name):
             patterns = self.settings.preparation.patterns(self.recording, self.derivatives)
         if self.offsets is None:
@@ -90,7 +91,7 @@ class PreparedRecording:
         return dataclasses.replace(patterns, torque=np.asarray(patterns.torque) - self.offsets)
 
     def without_static_friction(self, joints: Sequence[int]) -> "PreparedRecording":
-        """The same when joints, counted from 1, have lost their term of static friction."""
+        """Return the recording after joints, counted from 1, lost their term of static friction."""
         preparation = self.settings.preparation.without_static_friction(joints)
         settings = dataclasses.replace(self.settings, preparation=preparation)
         return dataclasses.replace(self, settings=settings, motion=self.derivatives)
@@ -150,7 +151,7 @@ class Problem:
 
     @cached_property
     def patterns(self) -> Mapping[str, Patterns]:
-        """Those of all recordings that are fitted, one after the other, as `"training"`; and of
+        """Patterns of all fitted recordings, one after the other, as `"training"`; and of
         the one that judges as `"validation"`, if there is one."""
         patterns = {"training": joined([x.patterns for x in self.recordings.values()])}
         if self.validation is not None:
@@ -164,7 +165,7 @@ class Problem:
 
     @cached_property
     def known(self) -> Mapping[int, Known]:
-        """What is known of coefficients of `network` before, by index."""
+        """Coefficients of `network` that are known beforehand, by index."""
         prior = self.request.prior
         return {} if prior is None else prior.coefficient_values(self.network)
 
@@ -175,7 +176,7 @@ class Problem:
 
     @property
     def lag(self) -> float:
-        """How much later than positions torques were measured [s]."""
+        """Delay of torques behind positions [s]."""
         return self.settings.preparation.torque_lag
 
     def with_recordings(
@@ -222,7 +223,9 @@ def prepare(
         selection = None if chosen is None else chosen.selection
         motion = None if chosen is None else chosen.motion
         settings = basic_settings(request, chosen)
-        if selection is not None and _motion_part(settings) != _motion_part(selection.settings):
+        if selection is not None and motion_part(settings.preparation) != motion_part(
+            selection.settings.preparation
+        ):
             motion = None
         warnings = [f"{called[main]}: {sentence}" for sentence in settings.check(training[main])]
         settings = settings.for_network(network)
@@ -348,11 +351,6 @@ def _within_memory(
         return training, section_of(request.network, training[request.longest], memory), []
     cut, sentences = sections_of(request.network, training, memory)
     return cut, None, sentences
-
-
-def _motion_part(settings: Settings) -> tuple[object, object]:
-    """What positions, velocities and accelerations depend on."""
-    return settings.preparation.smoothing, settings.preparation.velocity
 
 
 def settings_for_another(

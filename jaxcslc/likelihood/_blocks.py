@@ -141,7 +141,7 @@ class ReadingBlock(AbstractResidualBlock):
 
 @dataclasses.dataclass(frozen=True)
 class ReadingDerivatives(AbstractDerivatives):
-    """One of a reading by its position, and by its recording's offset."""
+    """Derivatives of readings by position and by offset: all one."""
 
     part: Int[np.ndarray, " samples"]
     joints: int
@@ -384,7 +384,7 @@ class ReversalBlock(ConstantBlock):
 
 @dataclasses.dataclass(frozen=True)
 class PriorBlock(AbstractResidualBlock):
-    """What is known of the border beforehand; `expected`: (border,) values."""
+    """Residuals of what is known of the border beforehand; `expected`: (border,) values."""
 
     expected: Float[np.ndarray, " border"]
     weight: Float[np.ndarray, " border"]
@@ -401,7 +401,7 @@ class PriorBlock(AbstractResidualBlock):
 
 @dataclasses.dataclass(frozen=True)
 class PriorDerivatives(AbstractDerivatives):
-    """Of the border by itself."""
+    """Derivatives of the border by itself."""
 
     scale: Scale
 

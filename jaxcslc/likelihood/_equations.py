@@ -86,7 +86,7 @@ class AbstractEquations(abc.ABC):
         turn: Turns,
         direction: Turns,
     ) -> Rows:
-        """What equations of sampled torques leave out at present positions, (equations, series)."""
+        """Return truncation errors of sampled torques at present positions, (equations, series)."""
         del k, laws, time, part, turn, direction
         return np.zeros((len(q) - 2, q.shape[1]))
 
@@ -125,13 +125,13 @@ class MotionEquations(AbstractEquations):
     def torque(
         self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
     ) -> Rows:
-        """As of `AbstractEquations`."""
+        """Return what `AbstractEquations` declares."""
         return self._functions.torque(self.intervals, k, laws, q, turn, direction)
 
     def linearised(
         self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
     ) -> Linearisation:
-        """As of `AbstractEquations`."""
+        """Return what `AbstractEquations` declares."""
         return self._functions.linearised(self.intervals, k, laws, q, turn, direction)
 
     def smooth(self, k: Coefficients, q: Rows, velocity: Rows, acceleration: Rows) -> Rows:
@@ -155,7 +155,7 @@ class MotionEquations(AbstractEquations):
         turn: Turns,
         direction: Turns,
     ) -> Rows:
-        """As of `AbstractEquations`, see `triangle_truncation`."""
+        """Return what `AbstractEquations` declares; see `triangle_truncation`."""
 
         def smooth(*motion: Any) -> Rows:
             return self.smooth(k, *motion)

@@ -14,7 +14,7 @@ _LAST = "offset"
 
 @dataclasses.dataclass(frozen=True)
 class UnknownLayout:
-    """Where unknowns that all equations share are in the border.
+    """Layout of the border: unknowns that all equations share.
 
     **Attributes**
 

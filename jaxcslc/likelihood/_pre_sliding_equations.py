@@ -77,7 +77,7 @@ class PreSlidingEquations(AbstractEquations):
 
     @property
     def network(self) -> CSLC:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Of n joints, p coefficients."""
+        """Network of n joints and p coefficients."""
         return self.base.network
 
     @property
@@ -91,20 +91,20 @@ class PreSlidingEquations(AbstractEquations):
         return self.distances
 
     def states(self, k: Coefficients) -> tuple[Joints, Rows]:
-        """As of `AbstractEquations`."""
+        """Return what `AbstractEquations` declares."""
         return np.abs(self._sizes(k)), self.unknown
 
     def torque(
         self, k: Coefficients, laws: Joints, q: Samples, turn: Rows, direction: Rows
     ) -> Rows:
-        """As of `AbstractEquations`."""
+        """Return what `AbstractEquations` declares."""
         torque = self.base.torque(self._others(k), laws, q, turn, direction)
         return torque + self._sizes(k) * self.state
 
     def linearised(
         self, k: Coefficients, laws: Joints, q: Samples, turn: Rows, direction: Rows
     ) -> Linearisation:
-        """As of `AbstractEquations`."""
+        """Return what `AbstractEquations` declares."""
         others = self.base.linearised(self._others(k), laws, q, turn, direction)
         columns = others.by_coefficient
         values = columns.values.copy()
@@ -133,7 +133,7 @@ class PreSlidingEquations(AbstractEquations):
         turn: Rows,
         direction: Rows,
     ) -> Rows:
-        """As of `AbstractEquations`, of friction without a state."""
+        """Return the truncation error of friction without a state."""
         return self.base.truncation(self._others(k), laws, q, time, part, turn, direction)
 
     def _sizes(self, k: Coefficients) -> Joints:

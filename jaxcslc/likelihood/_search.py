@@ -381,7 +381,7 @@ def _ended(
 
 @dataclasses.dataclass(frozen=True)
 class _Test:
-    """Whether a search has ended.
+    """Test of whether a search has ended.
 
     - `same`: whether signs were those of before; `final`: whether only unknowns move.
     - `quiet`: whether neither signs nor damping make the step what it is.

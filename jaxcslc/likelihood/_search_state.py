@@ -28,7 +28,7 @@ Mask = Bool[np.ndarray, "equations joints"]
 
 
 class Stage(enum.Enum):
-    """What follows the motion from step to step, beside signs.
+    """Stage of a search: what follows the motion from step to step, next to signs.
 
     - `LEVELS`: noise levels and weights of outliers, while readings are normally distributed.
     - `COUNTS`: nothing, until steps are short: then counts become intervals where that says more.

@@ -105,7 +105,7 @@ class NoiseExcitation:
 
 @dataclasses.dataclass(frozen=True)
 class SpacingChoice:
-    """Why positions are as far apart as they are.
+    """Choice of the spacing of estimated positions, with its reason.
 
     **Attributes**
 

@@ -189,7 +189,7 @@ class _Static:
 
 @dataclasses.dataclass(frozen=True)
 class _Known:
-    """What is known of the border beforehand, as `Problem.known`.
+    """Knowledge of the border beforehand, as `LikelihoodProblem.known`.
 
     Encoders are within half a step, and friction at rest rarely is above twice the dry one: without
     the latter, static friction that the motion does not show grows without bounds, with a slope
@@ -225,7 +225,7 @@ class _Known:
 
 
 class _Encoders(NamedTuple):
-    """What readings are, by recording and joint.
+    """Encoders, by recording and joint.
 
     - `steps`: of encoders [rad or m], 0 where readings are no counts.
     - `readings_noise`: what readings scatter by; `least`: (n,) of any reading.
@@ -252,17 +252,17 @@ class _Encoders(NamedTuple):
 
     @property
     def noise(self) -> Recordings:
-        """Of positions; of counts, that of their steps."""
+        """Noise of positions; of encoder ticks, that of their steps."""
         return np.where(self.steps > 0.0, self.steps / np.sqrt(12.0), self.readings_noise)
 
     @property
     def least_noise(self) -> Recordings:
-        """Of positions, at least."""
+        """Least noise of positions."""
         return np.where(self.steps > 0.0, self.steps / np.sqrt(12.0), self.least)
 
     @property
     def scatter(self) -> Recordings:
-        """Of readings about smooth motion; 0 of counts."""
+        """Scatter of readings about smooth motion; 0 for encoder ticks."""
         return np.where(self.steps > 0.0, 0.0, self.readings_noise)
 
     @property

@@ -15,7 +15,6 @@ Modules, in reading order:
 - `_cslc`: the network of one robot, and its variants (payload, other friction laws).
 - `_layout`: which entries of `k` belong to which term, and their values for known links.
 - `terms`: rigid body, friction, springs, coupled joints, payload.
-- `_closed_form`, `_recursion`, `_rigid_body`: the rigid body as expressions, for generated code.
 """
 
 from ._cslc import CSLC as CSLC

@@ -15,7 +15,7 @@ Modules, in reading order:
 - `_clock`: times of samples, resampling, and the torque that belongs to a sample.
 - `_smoothing`, `_splines`, `_filters`: smoothing and differentiation.
 - `_low_pass`: zero-phase filters, and the filtering of whole equations.
-- `_reversals`, `_cubic_spline`: parts of the splines.
+- `_reversals`: where joints turn round, for the splines.
 - `_masks`, `_residual_thresholds`: pairs that a fit leaves out.
 - `_preparation`, `_patterns`: settings, and their result.
 """

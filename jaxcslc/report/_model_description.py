@@ -1,4 +1,4 @@
-"""What a report says of its network: names and units of outputs and coefficients."""
+"""Description of a report's network: names and units of outputs and coefficients."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -47,7 +47,7 @@ class ModelDescription:
 
     @property
     def per_joint(self) -> bool:
-        """Whether outputs are torques of a robot's joints."""
+        """True if outputs are torques of joints of a robot."""
         return self.output_kind == "joint"
 
     @classmethod

@@ -116,7 +116,7 @@ class AbstractReport(abc.ABC, Generic[N]):
 
     @cached_property
     def sections(self) -> tuple[AbstractSection, ...]:
-        """What the report shows, in the order of its text."""
+        """Sections of the report, in the order of its text."""
         sections = (
             kind.of(self)
             if self.document is None or self.results.keys() & kind.results.keys()

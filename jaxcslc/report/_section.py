@@ -24,7 +24,7 @@ else:
 
 
 class AbstractSection(abc.ABC):
-    """One kind of result: its text, its JSON and its blocks of the page.
+    """Kind of result: its text, its JSON and its blocks of the page.
 
     All of them are made of `data`, plain data, so that a section that was read from a file shows
     what the one that was written showed. A new kind is a subclass and its line in a list of

@@ -22,6 +22,7 @@ from ._selection import (
     Selection as Selection,
     Trial as Trial,
     choose_settings as choose_settings,
+    motion_part as motion_part,
     selection_with_motion as selection_with_motion,
 )
 

@@ -216,7 +216,7 @@ def selection_with_motion(
     selection = Selection(
         dataclasses.replace(best, chosen_on=chosen_on), tuple(trials.by_settings.values())
     )
-    return selection, trials.derivatives.get(_motion_part(best.preparation))
+    return selection, trials.derivatives.get(motion_part(best.preparation))
 
 
 class _Trials:
@@ -308,7 +308,7 @@ class _Trials:
     def _in_threads(
         self, pool: ThreadPoolExecutor, candidates: Sequence[Settings]
     ) -> Iterable[Trial]:
-        by_motion = {_motion_part(settings.preparation): settings for settings in candidates}
+        by_motion = {motion_part(settings.preparation): settings for settings in candidates}
         if len(by_motion) < len(candidates):  # threads would repeat what candidates share
             for settings in by_motion.values():
                 self._columns_of(settings.preparation, self._patterns(settings))
@@ -330,7 +330,7 @@ class _Trials:
 
     def _columns_of(self, preparation: Preparation, patterns: Patterns) -> HostColumns:
         """The columns of a motion; kept until those of another one are computed."""
-        motion, latest = _motion_part(preparation), self._columns
+        motion, latest = motion_part(preparation), self._columns
         if latest is None or latest[0] != motion:
             del latest
             self._columns = None  # the next ones take its memory, whose pages are there
@@ -338,12 +338,12 @@ class _Trials:
         return latest[1]
 
     def _motion(self, preparation: Preparation) -> Derivatives:
-        motion = _motion_part(preparation)
+        motion = motion_part(preparation)
         if motion not in self.derivatives:
             self.derivatives[motion] = motion.derivatives(self.recording)
         return self.derivatives[motion]
 
 
-def _motion_part(preparation: Preparation) -> Preparation:
-    """What positions, velocities and accelerations depend on."""
+def motion_part(preparation: Preparation) -> Preparation:
+    """Return the settings that positions, velocities and accelerations depend on."""
     return Preparation(preparation.smoothing, preparation.velocity)

@@ -468,7 +468,7 @@ def _fitted(
 def _weights(
     noise: Mapping[str, Float[np.ndarray, " joints"]],
 ) -> dict[str, Float[np.ndarray, " joints"]]:
-    """Of each joint of each recording: the root mean square of all its noise over its own."""
+    """Return weights per joint and recording: RMS of the noise of all over that of its own."""
     pooled = np.sqrt(np.mean([size**2 for size in noise.values()], axis=0))
     return {
         name: np.where(size > 0.0, pooled / np.where(size > 0.0, size, 1.0), 1.0)

@@ -5,7 +5,8 @@ coefficients.
 
 - `_term`, `_input_term`, `_joint_term`: the classes from which terms derive.
 - `_rigid_body_tables`, `_rigid_body_recursion`: links and motors, in closed form or by recursion.
-- `_link_motion`, `_newton_euler`, `_unit_torques`, `_unrolled`: parts of the recursion.
+- `_expressed_bodies`: the class of both; `_closed_form`, `_linked_bodies`: their expressions;
+  `_rolled`: the recursion as scans of JAX.
 - `_friction_laws`, `_coupled`, `_load_friction`: friction, offsets, springs.
 - `_payload`: a body fixed to a link.
 - `_joint_projection`: terms of robots with joints that follow others.

@@ -1,4 +1,4 @@
-"""What is computed of rigid bodies, whatever form their equations have, and the term of a network.
+"""Quantities of rigid bodies in any form of their equations, and the rigid-body term of a network.
 
 A form of the equations is a subclass of `AbstractExpressedBodies`: torque, mass matrix and entries
 of the regressor as expressions of a motion. `codegen` turns these into arrays of JAX or NumPy, C or
@@ -50,7 +50,7 @@ class AbstractRigidBody(AbstractManipulatorTerm):
     @property
     @abc.abstractmethod
     def has_tables(self) -> bool:
-        """Whether the closed form is small enough to be computed from its tables."""
+        """True if the closed form is small enough to be computed from its tables."""
 
     @abc.abstractmethod
     def expressed(self, motion: Motion) -> AbstractExpressedBodies:

@@ -24,7 +24,7 @@ def one_line(error: Exception) -> str:
 
 
 READ_BYTES = 1 << 20
-"""How much of a file is read at a time: enough for speed, little beside a chunk's arrays."""
+"""Bytes of a file that are read at a time: enough for speed, little next to a chunk's arrays."""
 
 _DELIMITERS = (",", ";", "\t", " ")
 _LONG_INTEGER = 15  # digits: beyond, float64 rounds integers, as nanoseconds since 1970

@@ -178,7 +178,7 @@ class SystematicSection(AbstractSection):
 
 
 class ExcitationSection(AbstractSection):
-    """What the motion determines: rank, condition and correlations."""
+    """Excitation of the motion: rank, condition and correlations."""
 
     name = "excitation"
     results = MappingProxyType({"excitation": None})

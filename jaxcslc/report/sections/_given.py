@@ -38,7 +38,7 @@ class GroupsSection(AbstractSection):
 
 
 class PriorSection(AbstractSection):
-    """What was known of coefficients and links before."""
+    """Prior knowledge of coefficients and links."""
 
     name = "prior"
     results = MappingProxyType({"prior": None})

@@ -19,7 +19,7 @@ _LARGEST = 1e12
 
 
 class ModelSection(AbstractSection):
-    """What a network is called and made of; `manipulator` is the robot, as its file had it."""
+    """Description of the network; `manipulator` is the robot, as its file had it."""
 
     name = "model"
     entries = MappingProxyType(

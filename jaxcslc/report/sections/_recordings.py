@@ -22,7 +22,7 @@ _DATA_CHECK = (
 
 
 class WarningSection(AbstractSection):
-    """What looks wrong with recordings and fit, and what was decided in reading them."""
+    """Warnings on recordings and fit, and decisions made in reading them."""
 
     name = "warnings"
     results = MappingProxyType({"warnings": (), "data_check": None, "notes": ()})

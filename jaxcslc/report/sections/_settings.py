@@ -17,7 +17,7 @@ _FIRST_TRIALS = 10
 
 
 class SettingsSection(AbstractSection):
-    """How recordings were prepared and fitted, and how that was chosen."""
+    """Settings of preparation and fit, and how they were chosen."""
 
     name = "settings"
     results = MappingProxyType({"selection": None, "judged_part": None})

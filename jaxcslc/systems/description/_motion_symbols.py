@@ -8,7 +8,7 @@ from ._entries import Constant, DescriptionError, Variable, name_of
 
 
 ORDERS = ("{}", "dot({})", "ddot({})")
-"""How a variable and its derivatives are written."""
+"""Spelling of a variable and its derivatives."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
