@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 # `jc.recordings`: `import jaxcslc` alone takes no time, and nobody waits for packages that they do
 # not use.
 if TYPE_CHECKING:
-    from . import training as training
+    from . import examples as examples, training as training
     from ._environment import enable_x64 as enable_x64
     from .bodies import (
         PhysicalParameters as PhysicalParameters,

@@ -32,7 +32,7 @@ _MOST_JOINTS = 40
 def derive(
     robot: Manipulator,
     *,
-    lengths: Literal["symbolic", "numeric", "auto"] | Sequence[str] = "symbolic",
+    lengths: Literal["symbolic", "numeric", "auto"] | Sequence[str] = "auto",
     evaluator: Literal["auto", "tables", "recursive", "rolled", "unrolled"] = "auto",
 ) -> CSLC:
     """Derive a robot's inverse dynamics and build the network that computes them.
