@@ -19,7 +19,17 @@ if TYPE_CHECKING:
 
 # The function of each command, in the module of its name: imported when it is typed, or when all
 # commands are listed.
-_COMMANDS = "derive", "check", "identify", "compare", "excite", "export", "payload", "constants"
+_COMMANDS = (
+    "example",
+    "derive",
+    "check",
+    "identify",
+    "compare",
+    "excite",
+    "export",
+    "payload",
+    "constants",
+)
 
 
 def application(commands: Iterable[str] = _COMMANDS) -> typer.Typer:

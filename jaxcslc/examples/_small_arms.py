@@ -9,9 +9,9 @@ import numpy as np
 
 
 if TYPE_CHECKING:
-    from .manipulator import Manipulator
-    from .network import CSLC
-    from .recordings import Patterns, Recording
+    from ..manipulator import Manipulator
+    from ..network import CSLC
+    from ..recordings import Patterns, Recording
 
 
 def pendulum(*friction: str) -> Manipulator:
@@ -64,7 +64,7 @@ def swing(
     >>> jc.LeastSquares().fit(network, patterns).k.round(6).tolist()
     [0.5, 0.3, -0.1, 0.2, 0.05]
     """
-    from .recordings import Patterns
+    from ..recordings import Patterns
 
     t = np.arange(samples)[:, None] * time_step
     joint = np.arange(network.joint_count)
@@ -87,7 +87,7 @@ def swing_recording(
     >>> recording.position.shape
     (1000, 1)
     """
-    from .recordings import Recording
+    from ..recordings import Recording
 
     patterns = swing(network, k, samples=samples, time_step=time_step)
     return Recording(patterns.time, patterns.q, patterns.torque)
@@ -98,7 +98,7 @@ def _arm(
     gravity: Sequence[float | int],
     friction: Sequence[str],
 ) -> Manipulator:
-    from .manipulator import Manipulator
+    from ..manipulator import Manipulator
 
     arm = Manipulator.from_modified_dh(rows, gravity=gravity)
     return arm.with_friction(*friction) if friction else arm

@@ -1,0 +1,26 @@
+"""Examples: small robots for docstrings, and whole arms with files to try the command on.
+
+- `_small_arms`: pendulum, turntable and planar arm, and exact motions of them.
+- `_arms`: robot files, and simulated logs with noise, written by `jaxcslc example`.
+"""
+
+from ._arms import ARMS as ARMS, Example as Example, write_example as write_example
+from ._small_arms import (
+    pendulum as pendulum,
+    planar_arm as planar_arm,
+    swing as swing,
+    swing_recording as swing_recording,
+    turntable as turntable,
+)
+
+
+__all__ = [
+    "ARMS",
+    "Example",
+    "pendulum",
+    "planar_arm",
+    "swing",
+    "swing_recording",
+    "turntable",
+    "write_example",
+]

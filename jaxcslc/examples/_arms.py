@@ -1,0 +1,295 @@
+"""Whole arms with robot files and simulated logs, as `jaxcslc example` writes them.
+
+The log differs from the robot file as a real one does: the true links are not those of the file,
+joints have friction, encoders have ticks, torques have noise. The truth is written next to them.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+
+if TYPE_CHECKING:
+    from ..manipulator import LinkParameters, Manipulator
+
+# Largest errors of the masses and inertias in the robot file, relative, and of its centres of
+# gravity [m]. Identified Pandas and their files differ by such amounts (docs/real_robots.md).
+_MASS_ERROR, _CENTRE_ERROR = 0.15, 0.01
+
+# Harmonics of each joint's motion, in periods per recording; the highest is 0.7 Hz.
+_HARMONICS = np.array([2, 3, 5, 9, 14])
+_DURATION = 20.0  # of a recording [s]
+_RAMP = 1.5  # in which the motion starts, and ends [s]
+# Parts of the joint's range and of its speed limit that the motion uses at most.
+_RANGE_PART, _SPEED_PART = 0.7, 0.6
+_LARGEST_AMPLITUDE, _LARGEST_SPEED = 1.3, 3.0  # of joints without such limits [rad, rad/s]
+
+
+@dataclass(frozen=True)
+class Arm:
+    """An arm of `jaxcslc example`.
+
+    **Attributes**
+
+    - `file`: name of the robot file.
+    - `pose`: about which it moves [rad].
+    - `rate`: samples per second [Hz].
+    - `tick`: of the encoders, at the joints [rad].
+    - `torque_noise`: standard deviation per joint [N m].
+    - `viscous`, `coulomb`: friction per joint [N m s/rad, N m].
+    - `columns`: gives the log's columns, under the names and in the units of its format.
+    """
+
+    file: str
+    pose: tuple[float, ...]
+    rate: float
+    tick: float
+    torque_noise: tuple[float, ...]
+    viscous: tuple[float, ...]
+    coulomb: tuple[float, ...]
+    columns: Callable[[Log], dict[str, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Log:
+    """A simulated log in SI units, time `(samples,)`, the rest `(samples, joints)`."""
+
+    time: Float[np.ndarray, " samples"]
+    position: Float[np.ndarray, "samples joints"]
+    velocity: Float[np.ndarray, "samples joints"]
+    torque: Float[np.ndarray, "samples joints"]
+
+
+@dataclass(frozen=True)
+class Example:
+    """The files that `write_example` wrote.
+
+    **Attributes**
+
+    - `robot`: the robot file.
+    - `train`, `validation`: two logs of different motion.
+    - `truth`: JSON with the true coefficients by name, and the true links and friction.
+    """
+
+    robot: Path
+    train: Path
+    validation: Path
+    truth: Path
+
+
+def _universal_robots(log: Log) -> dict[str, np.ndarray]:
+    """The columns of Universal Robots' RTDE log."""
+    stems = {
+        "actual_q": log.position,
+        "actual_qd": log.velocity,
+        "actual_current_as_torque": log.torque,
+    }
+    return {"timestamp": 1000.0 + log.time, **_numbered(stems, "{stem}_{index}")}
+
+
+def _franka(log: Log) -> dict[str, np.ndarray]:
+    """The columns of libfranka's log; its clock counts milliseconds."""
+    stems = {"state.q": log.position, "state.dq": log.velocity, "state.tau_J": log.torque}
+    return {"time": 5000 + 1000 * log.time, **_numbered(stems, "{stem}[{index}]")}
+
+
+def _own(log: Log) -> dict[str, np.ndarray]:
+    """The columns of jaxcslc's own tables."""
+    stems = {"position": log.position, "torque": log.torque}
+    return {"time": log.time, **_numbered(stems, "{stem}_{number}")}
+
+
+def _numbered(stems: Mapping[str, np.ndarray], form: str) -> dict[str, np.ndarray]:
+    return {
+        form.format(stem=stem, index=index, number=index + 1): values[:, index]
+        for stem, values in stems.items()
+        for index in range(values.shape[1])
+    }
+
+
+# Friction, ticks and noise are of the order seen on real arms of these kinds, not of one arm.
+ARMS: Mapping[str, Arm] = {
+    "panda": Arm(
+        file="panda.urdf",
+        pose=(0.0, -0.3, 0.0, -1.8, 0.0, 1.8, 0.0),
+        rate=500.0,
+        tick=2e-5,
+        torque_noise=(0.08, 0.08, 0.06, 0.06, 0.03, 0.03, 0.03),
+        viscous=(0.4, 0.6, 0.4, 0.6, 0.3, 0.2, 0.2),
+        coulomb=(0.5, 0.7, 0.4, 0.6, 0.4, 0.3, 0.3),
+        columns=_franka,
+    ),
+    "puma560": Arm(
+        file="puma560.toml",
+        pose=(0.0, -0.8, 0.8, 0.0, 0.5, 0.0),
+        rate=250.0,
+        tick=1e-4,
+        torque_noise=(0.3, 0.3, 0.15, 0.05, 0.05, 0.05),
+        viscous=(4.0, 5.0, 2.5, 0.1, 0.1, 0.05),
+        coulomb=(6.0, 7.0, 4.0, 0.8, 0.8, 0.7),
+        columns=_own,
+    ),
+    "ur5": Arm(
+        file="ur5.urdf",
+        pose=(0.0, -1.2, 1.2, -1.2, -1.0, 0.0),
+        rate=125.0,
+        tick=5e-5,
+        torque_noise=(0.3, 0.3, 0.25, 0.08, 0.08, 0.08),
+        viscous=(8.0, 10.0, 6.0, 1.2, 1.2, 1.0),
+        coulomb=(5.0, 6.0, 4.0, 1.0, 1.0, 0.8),
+        columns=_universal_robots,
+    ),
+}
+
+
+def write_example(arm: str, folder: str | Path) -> Example:
+    """Write an arm's robot file, two simulated logs and the truth into a new folder.
+
+    The logs are in the format of the arm's own software: RTDE (`ur5`), libfranka (`panda`), or a
+    table of jaxcslc (`puma560`). They are the same in every run.
+
+    **Arguments**
+
+    - `arm`: a key of `ARMS`.
+    - `folder`: new or empty.
+
+    **Raises**
+
+    - `ValueError`: if there is no such arm.
+    - `FileExistsError`: if the folder has files.
+
+    >>> import tempfile, jaxcslc as jc
+    >>> example = jc.examples.write_example("ur5", tempfile.mkdtemp())
+    >>> jc.load_recording(example.train, joints=6).position.shape
+    (2500, 6)
+    """
+    from ..manipulator import load_robot, puma560
+    from ..network import derive
+
+    if arm not in ARMS:
+        raise ValueError(f"there is no example {arm!r}; expected one of {', '.join(ARMS)}")
+    folder = Path(folder)
+    if folder.is_dir() and any(folder.iterdir()):
+        raise FileExistsError(f"{folder}: has files already; expected a new or an empty folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    chosen = ARMS[arm]
+    result = Example(
+        folder / chosen.file,
+        folder / "train.csv",
+        folder / "validation.csv",
+        folder / "truth.json",
+    )
+    source = files("jaxcslc") / ("manipulator/robots" if arm == "puma560" else "examples/robots")
+    with as_file(source / chosen.file) as path:
+        shutil.copyfile(path, result.robot)
+    robot = puma560() if arm == "puma560" else load_robot(result.robot)
+    rng = np.random.default_rng(7)
+    links = [_true_link(link, rng) for link in robot.links or ()]
+    network = derive(robot.with_friction("viscous", "dry"))  # coefficients as `identify` has them
+    rigid = dict(zip(network.names, map(float, network.coefficients_from(links)), strict=True))
+    friction = {
+        name: value
+        for symbol, values in (("kv", chosen.viscous), ("kd", chosen.coulomb))
+        for joint, value in enumerate(values, 1)
+        if (name := f"{symbol}{joint}") in rigid
+    }
+    truth = rigid | friction
+    k = np.array([truth[name] for name in network.names])
+    for path in (result.train, result.validation):
+        time, q, qd, qdd = _motion(robot, chosen, rng)
+        torque = np.asarray(network.torque(k, q, qd, qdd))
+        torque = torque + np.array(chosen.torque_noise) * rng.normal(size=q.shape)
+        ticks = np.round(q / chosen.tick) * chosen.tick
+        log = Log(time, ticks, np.gradient(ticks, time, axis=0), torque)
+        _write(chosen.columns(log), path)
+    document = {
+        "what": f"truth of the simulated {arm}: train.csv and validation.csv",
+        "coefficients": truth,
+        "links": [_entries(link) for link in links],
+    }
+    result.truth.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    return result
+
+
+def _true_link(link: LinkParameters, rng: np.random.Generator) -> LinkParameters:
+    """Return a link of other mass and centre of gravity than the file's, which a body can have."""
+    factor = 1 + _MASS_ERROR * rng.uniform(-1, 1)
+    shift = _CENTRE_ERROR * rng.uniform(-1, 1, size=3) if float(link.mass) > 0 else np.zeros(3)
+    return replace(
+        link,
+        mass=factor * link.mass,
+        centre_of_gravity=link.centre_of_gravity + shift,
+        inertia=factor * link.inertia,
+    )
+
+
+def _motion(robot: Manipulator, arm: Arm, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """Return time, q, qd and qdd of a sum of sines within limits, from rest to rest."""
+    time = np.arange(round(_DURATION * arm.rate)) / arm.rate
+    phase, rate, curvature = _warp(time)
+    weight = (
+        rng.uniform(0.3, 1.0, (len(_HARMONICS), robot.joint_count)) / np.sqrt(_HARMONICS)[:, None]
+    )
+    start = rng.uniform(0, 2 * np.pi, weight.shape)
+    omega = 2 * np.pi * _HARMONICS[:, None] / _DURATION
+    angle = phase[:, None, None] * omega + start
+    shape = np.sum(weight * np.sin(angle), axis=1)
+    slope = np.sum(weight * omega * np.cos(angle), axis=1)
+    bend = -np.sum(weight * omega**2 * np.sin(angle), axis=1)
+    q, qd = shape, slope * rate[:, None]
+    qdd = bend * rate[:, None] ** 2 + slope * curvature[:, None]
+    pose = np.array(arm.pose)
+    room = np.array(
+        [
+            min(limit.high - centre, centre - limit.low, _LARGEST_AMPLITUDE)
+            for limit, centre in zip(robot.joint_limits, pose, strict=True)
+        ]
+    )
+    speed = np.array([min(limit.speed, _LARGEST_SPEED) for limit in robot.joint_limits])
+    size = np.minimum(
+        _RANGE_PART * room / np.abs(q).max(axis=0), _SPEED_PART * speed / np.abs(qd).max(axis=0)
+    )
+    return time, pose + size * q, size * qd, size * qdd
+
+
+def _warp(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the phase that runs with time but starts and ends at rest, and its derivatives."""
+    end = time[-1]
+
+    def ramp(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A rise from 0 to 1 without a jump of its slope, and the slope."""
+        s = np.clip(x / _RAMP, 0, 1)
+        return s**2 * (3 - 2 * s), 6 * s * (1 - s) / _RAMP
+
+    (up, up_slope), (down, down_slope) = ramp(time), ramp(end - time)
+    rate = up * down
+    curvature = up_slope * down - up * down_slope
+    step = np.diff(time)
+    phase = np.concatenate([[0.0], np.cumsum(step * (rate[1:] + rate[:-1]) / 2)])
+    return phase, rate, curvature
+
+
+def _write(columns: Mapping[str, np.ndarray], path: Path) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        texts = ([f"{value:.9g}" for value in values] for values in columns.values())
+        writer.writerows(zip(*texts, strict=True))
+
+
+def _entries(link: LinkParameters) -> dict[str, object]:
+    return {
+        "mass": float(link.mass),
+        "centre_of_gravity": np.asarray(link.centre_of_gravity).tolist(),
+        "inertia": np.asarray(link.inertia).tolist(),
+    }

@@ -1,0 +1,66 @@
+"""Examples: what `jaxcslc example` writes has the truth beside it, and the next commands work."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxcslc as jc
+from jaxcslc.cli._example import next_commands
+from tests.conftest import run
+
+
+@pytest.mark.parametrize("arm", jc.examples.ARMS)
+def test_the_next_commands_find_the_truth(
+    arm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Intervals of 95 % hold at least nine of ten true coefficients."""
+    monkeypatch.chdir(tmp_path)
+    printed = run("example", arm)
+    assert printed.exit_code == 0, printed.output
+    enter, *commands = next_commands(Path(arm), jc.examples.ARMS[arm].file)
+    assert all(command in printed.output for command in (enter, *commands))
+    monkeypatch.chdir(tmp_path / arm)
+    for command in commands:
+        if " excite " not in command:  # half a minute; its own tests run it
+            result = run(*command.split()[1:])
+            assert result.exit_code == 0, result.output
+    truth = json.loads(Path("truth.json").read_text())["coefficients"]
+    with Path("results/coefficients.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["name"] in truth]
+    inside = [float(row["low"]) <= truth[row["name"]] <= float(row["high"]) for row in rows]
+    assert len(inside) > 30 and np.mean(inside) > 0.9
+
+
+def test_the_files_are_the_same_in_every_run(tmp_path: Path) -> None:
+    first, second = (jc.examples.write_example("ur5", tmp_path / name) for name in "ab")
+    assert first.train.read_bytes() == second.train.read_bytes()
+    assert first.train.read_bytes() != first.validation.read_bytes()
+
+
+@pytest.mark.parametrize("arm", jc.examples.ARMS)
+def test_motion_is_within_the_limits_of_the_file(arm: str, tmp_path: Path) -> None:
+    example = jc.examples.write_example(arm, tmp_path)
+    robot = jc.load_robot(example.robot)
+    for path in (example.train, example.validation):
+        recording = jc.load_recording(path, joints=robot.joint_count)
+        speed = np.gradient(recording.position, recording.time, axis=0)
+        for joint, limit in enumerate(robot.joint_limits):
+            position = recording.position[:, joint]
+            assert limit.low < position.min() and position.max() < limit.high
+            assert np.abs(speed[:, joint]).max() < limit.speed
+            assert np.abs(recording.torque[:, joint]).max() < limit.torque
+
+
+def test_a_folder_with_files_is_left_as_it_is(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    result = run("example", "panda", "-o", tmp_path)
+    assert result.exit_code == 2 and "expected a new or an empty folder" in result.output
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_an_unknown_arm_is_named() -> None:
+    with pytest.raises(ValueError, match="there is no example 'kuka'; expected one of panda"):
+        jc.examples.write_example("kuka", "nowhere")
