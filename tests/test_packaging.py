@@ -52,6 +52,7 @@ LAYERS = {
     "uncertainty": {"least_squares"},
     "bodies": {"uncertainty"},
     "friction": {"uncertainty"},
+    "examples": {"network", "recordings"},
     "export": {"bodies", "friction"},
     "instruments": {"bodies", "friction"},
     "likelihood": {"bodies", "friction"},
@@ -61,7 +62,7 @@ LAYERS = {
     "identification": {"report"},
     "systems": {"report"},
     "payload": {"control", "identification"},
-    "cli": {"excitation", "export", "payload", "systems"},
+    "cli": {"examples", "excitation", "export", "payload", "systems"},
 }
 
 
