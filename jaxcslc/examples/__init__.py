@@ -4,7 +4,12 @@
 - `_arms`: robot files, and simulated logs with noise, written by `jaxcslc example`.
 """
 
-from ._arms import ARMS as ARMS, Example as Example, write_example as write_example
+from ._arms import (
+    ARMS as ARMS,
+    Example as Example,
+    read_truth as read_truth,
+    write_example as write_example,
+)
 from ._small_arms import (
     pendulum as pendulum,
     planar_arm as planar_arm,
@@ -19,6 +24,7 @@ __all__ = [
     "Example",
     "pendulum",
     "planar_arm",
+    "read_truth",
     "swing",
     "swing_recording",
     "turntable",

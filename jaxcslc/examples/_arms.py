@@ -21,6 +21,7 @@ from jaxtyping import Float
 
 if TYPE_CHECKING:
     from ..manipulator import LinkParameters, Manipulator
+    from ..network import CSLC
 
 # Largest errors of the masses and inertias in the robot file, relative, and of its centres of
 # gravity [m]. Identified Pandas and their files differ by such amounts (docs/real_robots.md).
@@ -219,6 +220,21 @@ def write_example(arm: str, folder: str | Path) -> Example:
     }
     result.truth.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     return result
+
+
+def read_truth(example: Example, network: CSLC) -> Float[np.ndarray, " coefficients"]:
+    """Return the true coefficients of an example, in the network's order.
+
+    **Raises** `KeyError` if the network has coefficients that the example's truth does not name.
+
+    >>> import tempfile, jaxcslc as jc
+    >>> example = jc.examples.write_example("ur5", tempfile.mkdtemp())
+    >>> network = jc.derive(jc.load_robot(example.robot))
+    >>> jc.examples.read_truth(example, network).shape == (network.size,)
+    True
+    """
+    truth = json.loads(example.truth.read_text(encoding="utf-8"))["coefficients"]
+    return np.array([truth[name] for name in network.names])
 
 
 def _true_link(link: LinkParameters, rng: np.random.Generator) -> LinkParameters:
