@@ -1,0 +1,161 @@
+"""Check the English of pages: sentence lengths, phrases, symbols and headings.
+
+    python -m scripts.tools.english              every page that `make check` holds to the rules
+    python -m scripts.tools.english docs/x.md    one page, with its figures
+
+The rules are those of plain technical English. A sentence of a guide has at most 30 words, and
+the mean of a page is at most 17. Phrases that a reader has to translate have a better one, which
+the message names. Evidence pages, which studies write, are checked for phrases alone.
+"""
+
+import argparse
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+
+ROOT = Path(__file__).parents[2]
+LONGEST, MEAN = 30, 17  # words
+
+# Pages with figures of studies: their tables and disclosures are not held to a length.
+EVIDENCE = frozenset(
+    {
+        "benchmarks.md",
+        "estimators.md",
+        "experiment.md",
+        "generalisation.md",
+        "peral.md",
+        "puma_a_b.md",
+        "real_robots.md",
+        "thesis.md",
+        "ultrasound.md",
+    }
+)
+# Pages that are written by programs from texts that stand elsewhere.
+GENERATED = frozenset({"command.md", "thesis.md", "experiment.md"})
+
+# A phrase, as a regular expression, and what to write instead.
+PHRASES: dict[str, str] = {
+    r"\bin place of\b": "instead of",
+    r"\bleft[- ]out\b": "held-out, excluded or omitted",
+    r"\bmakes? up for\b": "compensates",
+    r"\bbut for\b": "except",
+    r"\bfree fit\b": "unconstrained fit",
+    r"\bpossible bod(?:y|ies)\b": "physically consistent",
+    r"\bgears that give way\b": "elastic joint",
+    r"\bbefore (?:it|they|joints) slides?\b": "pre-sliding",
+    r"\bcounts? of an encoder\b": "encoder ticks",
+    r"\ba joint\b(?=[,.;:)])": "per joint",
+    r"\bfiltered alike\b": "with the same filter",
+    r"\bmends?\b|\bmended\b": "fixes, corrects",
+    r"\btells? of\b": "says about",
+    r"\bthat of\b.*\bthat of\b": "two clauses",
+    r"\bnobody knows\b": "a subject that can do what the verb says",
+    r"\bas ever\b": "as usual",
+    r"\bgo(?:es)? astray\b": "fails",
+}
+_SYMBOLS = {"ε": r"ε\b.{0,80}(?:is|:|=|mean|error)", "γ": r"γ.{0,60}(?:is|:|=|1 / slope)"}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is wrong at a line of a page."""
+
+    page: Path
+    line: int
+    problem: str
+
+    def __str__(self) -> str:
+        return f"{self.page.relative_to(ROOT)}:{self.line}: {self.problem}"
+
+
+def paragraphs(text: str) -> Iterator[tuple[int, str]]:
+    """Prose of a page with its line: no code, tables, headings, pictures or HTML."""
+    kept: list[str] = []
+    start, fenced = 1, False
+    for number, line in enumerate([*text.splitlines(), ""], 1):
+        if line.lstrip().startswith("```"):
+            fenced = not fenced
+            line = ""
+        prose = not fenced and not re.match(r"\s*(#|\||!\[|<|:::|- \[|    \S)", line)
+        item = re.match(r"\s*(?:[-*]|\d+\.)\s+", line)
+        if kept and (not prose or not line.strip() or item):
+            yield start, " ".join(kept)
+            kept = []
+        if prose and line.strip():
+            if not kept:
+                start = number
+            kept.append(line[item.end() :] if item else line.strip())
+    if kept:
+        yield start, " ".join(kept)
+
+
+def sentences(paragraph: str) -> list[str]:
+    """Sentences of a paragraph; code counts as one word, a link as its text."""
+    plain = re.sub(r"`[^`]*`", "Code", paragraph)
+    plain = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", plain)
+    plain = re.sub(r"[*_]{1,2}", "", plain)
+    plain = re.sub(r"\b(e\.g|i\.e|Eqn|Fig|Figs|Sec|vs|Dr|al|cf)\.", r"\1", plain)
+    return [part for part in re.split(r"(?<=[.!?:])\)?\s+(?=[A-Z(`0-9])", plain) if part.strip()]
+
+
+def words(sentence: str) -> int:
+    """Number of words, numbers with a unit counting once."""
+    return len(re.findall(r"[A-Za-zÀ-ÿ][\w'’-]*", sentence))
+
+
+def lengths(text: str) -> list[int]:
+    """Words of each sentence of a page that has at least three."""
+    counts = (words(s) for _, paragraph in paragraphs(text) for s in sentences(paragraph))
+    return [count for count in counts if count > 2]
+
+
+def findings(page: Path) -> list[Finding]:
+    """Everything that the rules find on a page."""
+    text = page.read_text("utf-8")
+    found: list[Finding] = []
+    for number, paragraph in paragraphs(text):
+        for phrase, better in PHRASES.items():
+            if match := re.search(phrase, paragraph):
+                found.append(Finding(page, number, f"'{match.group(0)}': write '{better}'"))
+        if page.name in EVIDENCE:
+            continue
+        for sentence in sentences(paragraph):
+            if (count := words(sentence)) > LONGEST:
+                start = " ".join(sentence.split()[:6])
+                found.append(
+                    Finding(page, number, f"'{start} ...' has {count} words; at most {LONGEST}")
+                )
+    for symbol, definition in _SYMBOLS.items():
+        if symbol in text and not re.search(definition, text):
+            line = text[: text.index(symbol)].count("\n") + 1
+            found.append(Finding(page, line, f"{symbol} is not defined on this page"))
+    counts = lengths(text)
+    if page.name not in EVIDENCE and counts and (mean := sum(counts) / len(counts)) > MEAN:
+        found.append(Finding(page, 1, f"mean sentence has {mean:.1f} words; at most {MEAN}"))
+    return found
+
+
+def pages() -> list[Path]:
+    """Pages that people write."""
+    docs = (path for path in (ROOT / "docs").glob("*.md") if path.name not in GENERATED)
+    return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(docs)]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("pages", nargs="*", type=Path)
+    arguments = parser.parse_args()
+    chosen = [path.resolve() for path in arguments.pages] or pages()
+    found = [finding for page in chosen for finding in findings(page)]
+    print(*found, sep="\n")
+    for page in arguments.pages:
+        counts = lengths(page.read_text("utf-8"))
+        print(f"{page}: {len(counts)} sentences, {sum(counts) / max(1, len(counts)):.1f} words")
+    sys.exit(bool(found))
+
+
+if __name__ == "__main__":
+    main()
