@@ -112,6 +112,11 @@ def lengths(text: str) -> list[int]:
     return [count for count in counts if count > 2]
 
 
+def is_evidence(page: Path) -> bool:
+    """Return whether a page holds figures of studies."""
+    return page.name in EVIDENCE or page.stem.endswith("_evidence")
+
+
 def findings(page: Path) -> list[Finding]:
     """Everything that the rules find on a page."""
     text = page.read_text("utf-8")
@@ -120,7 +125,7 @@ def findings(page: Path) -> list[Finding]:
         for phrase, better in PHRASES.items():
             if match := re.search(phrase, paragraph):
                 found.append(Finding(page, number, f"'{match.group(0)}': write '{better}'"))
-        if page.name in EVIDENCE:
+        if is_evidence(page):
             continue
         for sentence in sentences(paragraph):
             if (count := words(sentence)) > LONGEST:
@@ -133,7 +138,7 @@ def findings(page: Path) -> list[Finding]:
             line = text[: text.index(symbol)].count("\n") + 1
             found.append(Finding(page, line, f"{symbol} is not defined on this page"))
     counts = lengths(text)
-    if page.name not in EVIDENCE and counts and (mean := sum(counts) / len(counts)) > MEAN:
+    if not is_evidence(page) and counts and (mean := sum(counts) / len(counts)) > MEAN:
         found.append(Finding(page, 1, f"mean sentence has {mean:.1f} words; at most {MEAN}"))
     return found
 

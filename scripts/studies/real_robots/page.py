@@ -14,7 +14,7 @@ decides more by itself, beside the usual pipeline. Each recording is divided onc
 motion that is fitted and motion that is judged, and nothing of a fit is chosen on the latter. (Two
 things were set with these figures known: possible bodies are used at odds of one in five; at one in
 twenty, `auto` was least squares without them on the KR300. And
-[friction at rest](friction.md#joints-that-stand-still), for all methods.) Numbers are
+[friction at rest](friction.md#joints-at-standstill), for all methods.) Numbers are
 100·‖error‖/‖torque‖ of each joint [%], of the raw torque, on motion smoothed in one way for all:
 over all samples and, after the stroke, over those that masks leave in (no slow motion, where
 friction is not known). In bold: the least error over all samples, joint by joint, and those within
@@ -32,7 +32,7 @@ friction is not known). In bold: the least error over all samples, joint by join
 - **possible bodies**: the same with `--possible always` ([page](uncertainty.md#possible-bodies)).
 - **friction auto**: `--friction auto`: friction terms, and states of dry friction that yields
   before it slides, where motion that was left out is predicted better
-  ([page](friction.md#chosen-by-the-data)).
+  ([page](friction.md#choose-terms-automatically)).
 - **auto**: `--estimator auto --possible auto`, which decides within the fitted motion.
 
 ```sh
