@@ -29,7 +29,7 @@ friction is not known). In bold: the least error over all samples, joint by join
   cross-validation.
 - **maximum-likelihood**: `--estimator maximum-likelihood`: no smoothing, positions are estimated
   along ([page](likelihood.md)).
-- **possible bodies**: the same with `--possible always` ([page](uncertainty.md#possible-bodies)).
+- **possible bodies**: the same with `--possible always` ([page](uncertainty.md#physically-consistent-parameters)).
 - **friction auto**: `--friction auto`: friction terms, and states of dry friction that yields
   before it slides, where motion that was left out is predicted better
   ([page](friction.md#choose-terms-automatically)).
