@@ -51,7 +51,6 @@ PHRASES: dict[str, str] = {
     r"\bfiltered alike\b": "with the same filter",
     r"\bmends?\b|\bmended\b": "fixes, corrects",
     r"\btells? of\b": "says about",
-    r"\bthat of\b.*\bthat of\b": "two clauses",
     r"\bnobody knows\b": "a subject that can do what the verb says",
     r"\bas ever\b": "as usual",
     r"\bgo(?:es)? astray\b": "fails",
