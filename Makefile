@@ -39,10 +39,11 @@ demo: $(stamp) ## perform the experiment of Chapter 7 on two simulated PUMA 560s
 test: $(stamp) ## run all tests and the examples in docstrings (one file: ARGS=tests/test_x.py)
 	$(bin)/python -m pytest -n $(WORKERS) --dist worksteal $(ARGS)
 
-check: $(stamp) ## check formatting, lint and types
+check: $(stamp) ## check formatting, lint, types and the English of pages
 	$(bin)/ruff format --check .
 	$(bin)/ruff check .
 	$(bin)/pyright
+	$(bin)/python -m scripts.tools.english
 
 docs: $(stamp) ## build the documentation site, into build/site
 	NO_MKDOCS_2_WARNING=1 $(bin)/mkdocs build --strict

@@ -34,7 +34,7 @@ EVIDENCE = frozenset(
     }
 )
 # Pages that are written by programs from texts that stand elsewhere.
-GENERATED = frozenset({"command.md", "thesis.md", "experiment.md"})
+GENERATED = frozenset({"command.md", "experiment.md", "puma_a_b.md", "thesis.md"})
 
 # A phrase, as a regular expression, and what to write instead.
 PHRASES: dict[str, str] = {
@@ -48,7 +48,6 @@ PHRASES: dict[str, str] = {
     r"\bbefore (?:it|they|joints) slides?\b": "pre-sliding",
     r"\bcounts? of an encoder\b": "encoder ticks",
     r"\ba joint\b(?=[,.;:)])": "per joint",
-    r"\bfiltered alike\b": "with the same filter",
     r"\bmends?\b|\bmended\b": "fixes, corrects",
     r"\btells? of\b": "says about",
     r"\bnobody knows\b": "a subject that can do what the verb says",

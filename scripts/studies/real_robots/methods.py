@@ -69,7 +69,7 @@ def our_models(arm: Arm) -> Iterator[Model]:
         bodies = report.possible
         assert bodies is not None
         note = str(report.settings) if report.estimators is None else _end(report.estimators)
-        for k, suffix in ((bodies.free.k, ""), (bodies.parameters.k, ", possible bodies")):
+        for k, suffix in ((bodies.free.k, ""), (bodies.parameters.k, ", consistent")):
             yield Model(
                 f"{name}{suffix}", report.network, np.asarray(k), report.settings, seconds, note
             )
@@ -111,7 +111,7 @@ def automatic_models(arm: Arm) -> Iterator[Model]:
     bodies = report.possible is not None and report.possible.used
     estimators = report.estimators
     note = "least-squares" if estimators is None else estimators.used
-    note += " with possible bodies" if bodies else ""
+    note += " with physically consistent parameters" if bodies else ""
     yield Model("auto", report.network, np.asarray(report.k), report.settings, seconds, note)
 
 

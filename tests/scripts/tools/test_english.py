@@ -1,0 +1,41 @@
+"""The checker of English: what it counts, what it finds, and what it leaves alone."""
+
+from pathlib import Path
+
+import pytest
+
+from scripts.tools.english import findings, lengths, paragraphs, sentences, words
+
+
+def test_prose_is_told_from_code_tables_and_headings() -> None:
+    text = (
+        "# A heading\n\nOne line\nof prose.\n\n```sh\nnot prose\n```\n\n| a | b |\n\n- An item.\n"
+    )
+    assert list(paragraphs(text)) == [(3, "One line of prose."), (12, "An item.")]
+
+
+def test_sentences_and_words() -> None:
+    text = "Use `a.b` first. See [the page](x.md#y), e.g. this one. 3 of 4 hold."
+    assert len(sentences(text)) == 3
+    assert words("Use `a` and the arm's 3 joints") == 6
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("It uses a spline in place of a filter.", "write 'instead of'"),
+        ("This page says what ε is not.", "ε is not defined"),
+        ("A " + "very " * 30 + "long sentence.", "at most 30"),
+    ],
+)
+def test_what_is_found(text: str, problem: str, tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(text + "\n", encoding="utf-8")
+    assert any(problem in finding.problem for finding in findings(page))
+
+
+def test_good_text_has_no_findings(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("The error is small.\n\nε is the mean error.\n", encoding="utf-8")
+    assert findings(page) == []
+    assert lengths(page.read_text("utf-8")) == [4, 3]
