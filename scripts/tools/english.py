@@ -148,7 +148,7 @@ def pages() -> list[Path]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("pages", nargs="*", type=Path)
     arguments = parser.parse_args()
     chosen = [path.resolve() for path in arguments.pages] or pages()

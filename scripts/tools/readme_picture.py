@@ -152,7 +152,7 @@ def label(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/images/identify.svg"))
     arguments = parser.parse_args()
     jc.enable_x64()
@@ -179,21 +179,22 @@ def main() -> None:
     drawn = np.flatnonzero((half[-1] < 0.2 * size) & (half[0] > 0.12 * size))[:_SHOWN]
 
     judged = settings.patterns(held_out)
+    measured = np.asarray(judged.torque)
     shown = (judged.time > judged.time[0] + 3) & (judged.time < judged.time[0] + 3 + _SECONDS)
     predicted = np.asarray(network.torque(report.k, judged.q, judged.qd, judged.qdd))
     thinned = np.flatnonzero(shown)[:: max(1, int(shown.sum() / 420))]
     frames = np.flatnonzero(shown)[np.linspace(0, shown.sum() - 1, _FRAMES).astype(int)]
-    error = np.sqrt(np.mean((predicted - judged.torque)[shown, _JOINT] ** 2))
+    error = np.sqrt(np.mean((predicted - measured)[shown, _JOINT] ** 2))
     content = [
         '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 860 330" width="860" height="330"'
         ' font-family="system-ui, sans-serif" role="img"'
         ' aria-label="A Panda arm moves; measured and predicted torque agree; intervals shrink">',
         '<rect width="860" height="330" rx="10" fill="#ffffff"/>',
         label(24, 24, "Franka Panda, simulated log", bold=True),
-        arm(robot, judged.q[frames]),
+        arm(robot, np.asarray(judged.q)[frames]),
         torques(
-            judged.time[thinned],
-            judged.torque[thinned, _JOINT],
+            np.asarray(judged.time)[thinned],
+            measured[thinned, _JOINT],
             predicted[thinned, _JOINT],
             f"joint {_JOINT + 1}",
             float(error),
