@@ -1,17 +1,123 @@
-"""Constants of a system as they follow from coefficients, and results of searches."""
+"""Constants of a system as they follow from coefficients: which do, and their values."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
+from sympy import lambdify
 
-from .._rank import pseudo_inverse
+from .._rank import numerical_rank, pseudo_inverse
+from ..derivation import Coefficient
 from ..least_squares import Identification
-from ..recordings import Patterns
-from ._network import SystemNetwork
-from ._system import System
-from .algebra import COMPLEX_STEP
+
+
+if TYPE_CHECKING:
+    from ._system import System
+
+
+Verdict = Literal["alone", "only in combinations", "not at all"]
+
+
+COMPLEX_STEP = 1e-30
+"""Of derivatives in the complex plane: analytic functions to rounding."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ConstantIdentifiability:
+    """Verdict whether an unknown constant follows from the coefficients, which fits determine.
+
+    **Attributes**
+
+    - `constant`: its name.
+    - `verdict`: `"alone"`: it can be computed from coefficients; `"only in combinations"`: it
+      can't be told apart from others; `"not at all"`: it cancels from every equation.
+    - `coefficients`: names of those that it is part of.
+
+    >>> from jaxcslc.systems import ConstantIdentifiability
+    >>> print(ConstantIdentifiability("l", "only in combinations", ("k2", "k3")))
+    constant 'l': only in combinations, k2, k3
+    """
+
+    constant: str
+    verdict: Verdict
+    coefficients: tuple[str, ...]
+
+    def __str__(self) -> str:
+        if self.verdict == "not at all":
+            return (
+                f"constant {self.constant!r}: not at all, it cancels from every equation;"
+                " no recording determines it"
+            )
+        listed = ", ".join(self.coefficients)
+        return f"constant {self.constant!r}: {self.verdict}, {listed}"
+
+
+def identifiability_of(
+    symbols: Mapping[str, Any],
+    formulas: Sequence[Any],
+    coefficients: Sequence[Coefficient],
+) -> tuple[ConstantIdentifiability, ...]:
+    """Determine the identifiability of each unknown constant.
+
+    It follows from the derivatives of the coefficients at one random set of values.
+
+    A constant can be computed from the coefficients near almost every set of values if its unit
+    vector is a combination of their gradients.
+    """
+    names = list(symbols)
+    draw = np.random.default_rng(0)
+    point = np.array(
+        [draw.uniform(0.5, 1.5) * (-1 if symbols[name].is_negative else 1) for name in names]
+    )
+    function = lambdify(list(symbols.values()), list(formulas), modules="numpy", cse=True)
+    # Complex steps: derivatives of analytic functions to rounding, without their expressions.
+    steps = point[:, None] + 1j * COMPLEX_STEP * np.eye(len(names))
+    values = [np.broadcast_to(value, len(names)) for value in function(*steps)]
+    gradient = np.imag(np.array(values, complex)) / COMPLEX_STEP
+    rank = numerical_rank(gradient.T)
+    rows: list[ConstantIdentifiability] = []
+    for index, name in enumerate(names):
+        part_of = tuple(
+            coefficient.name
+            for coefficient, formula in zip(coefficients, formulas, strict=True)
+            if symbols[name] in formula.free_symbols
+        )
+        verdict: Verdict = "not at all"
+        if part_of:
+            with_unit = np.vstack([gradient, np.eye(len(names))[index]])
+            alone = numerical_rank(with_unit.T) == rank
+            verdict = "alone" if alone else "only in combinations"
+        rows.append(ConstantIdentifiability(name, verdict, part_of))
+    return tuple(rows)
+
+
+def independent(system: "System", regressor: Sequence[Sequence[Any]]) -> bool:
+    """Return whether the columns of a regressor are independent at random states, numerically.
+
+    Columns are functions that exact algebra has made independent, as far as it knows the functions:
+    this is where it is held to it. States where a function is not real are left out.
+    """
+    size = len(regressor[0])
+    draw = np.random.default_rng(0)
+    arguments = list(system.symbols.motion.values())
+    searched = {
+        system.symbols.constants[constant.name]: draw.uniform(*constant.bounds)
+        for constant in system.nonlinear
+        if constant.bounds is not None
+    }
+    expressions = [[x.subs(searched) for x in row] for row in regressor]
+    function = lambdify(arguments, expressions, modules="numpy", cse=True)
+    states = draw.uniform(-2.0, 2.0, (len(arguments), 20 + 4 * size))
+    with np.errstate(all="ignore"):
+        values = function(*states.astype(complex))
+    count = states.shape[1]
+    columns = [[np.broadcast_to(x, count) for x in row] for row in values]
+    rows = np.moveaxis(np.array(columns, complex), 1, -1).reshape(-1, size)
+    finite = np.all(np.isfinite(rows), axis=1)
+    real = np.all(np.abs(np.imag(rows)) <= 1e-12 * np.abs(rows), axis=1)
+    return numerical_rank(np.real(rows[finite & real])) == size
 
 
 # The search for constants ends when a step changes them by less than this part.
@@ -42,7 +148,7 @@ class ConstantEstimate:
         return f"{self.name} = {self.value:.4g} ± {self.standard_error:.2g} {self.unit}".rstrip()
 
 
-def constants_from(system: System, fit: Identification) -> tuple[ConstantEstimate, ...]:
+def constants_from(system: "System", fit: Identification) -> tuple[ConstantEstimate, ...]:
     """The constants of a system that its coefficients determine.
 
     The values whose coefficients are nearest to the identified ones, each difference divided by its
@@ -129,127 +235,3 @@ def constants_from(system: System, fit: Identification) -> tuple[ConstantEstimat
         for i, name in enumerate(names)
         if name in alone
     )
-
-
-_SHOWN = 6  # minima
-
-
-@dataclasses.dataclass(frozen=True)
-class ConstantMinimum:
-    """A minimum of the error over the constants that enter nonlinearly.
-
-    **Attributes**
-
-    - `values`: (s,) of the constants.
-    - `error`: (n,) root mean square error of each output there, with the best coefficients.
-    - `ratio`: error over that of the best minimum, of all outputs as they are weighted.
-    - `starts`: how many of the evenly spread starts ended in it.
-    """
-
-    values: Float[np.ndarray, " constants"]
-    error: Float[np.ndarray, " outputs"]
-    ratio: float
-    starts: int
-
-
-@dataclasses.dataclass(frozen=True)
-class ConstantSearch:
-    """Constants that enter nonlinearly, with the coefficients that belong to them.
-
-    **Attributes**
-
-    - `names`: of the s constants.
-    - `fit`: coefficients and constants together, in this order, with standard errors that allow
-      for each other; its last s names are those of the constants, without those `at_bound`.
-    - `network`: the system's, with the constants at their values.
-    - `minima`: all different ones, the best first.
-    - `starts`: how many starts were spread evenly within the bounds.
-    - `at_bound`: names of constants that ended at one of their bounds.
-    """
-
-    names: tuple[str, ...]
-    fit: Identification
-    network: SystemNetwork
-    minima: tuple[ConstantMinimum, ...]
-    starts: int
-    at_bound: tuple[str, ...]
-
-    @property
-    def coefficients(self) -> Identification:
-        """The coefficients alone; their errors allow for those of the constants."""
-        p, fit = self.network.size, self.fit
-        rows = {name: getattr(fit, name)[:p] for name in ("k", "standard_error", "determined")}
-        squares = ("covariance", "independent_covariance", "undetermined")
-        return dataclasses.replace(
-            fit,
-            names=self.network.names,
-            **rows,
-            **{name: getattr(fit, name)[:p, :p] for name in squares},
-        )
-
-    @property
-    def values(self) -> Mapping[str, float]:
-        """The constants by name."""
-        return dict(zip(self.names, np.asarray(self.network.nonlinear).tolist(), strict=True))
-
-    def with_known_sides(self, patterns: Patterns) -> Patterns:
-        """Patterns whose known sides belong to the values of the constants.
-
-        **Arguments**
-
-        - `patterns`: of the system, as by `system_patterns`.
-        """
-        motion = tuple(np.asarray(x) for x in (patterns.q, patterns.qd, patterns.qdd))
-        before = self.network.system.network.known(*motion)
-        torque = np.asarray(patterns.torque + self.network.known(*motion) - before)
-        return dataclasses.replace(patterns, torque=torque)
-
-    @property
-    def share(self) -> float:
-        """The part of evenly spread starts that ended in the best minimum."""
-        return self.minima[0].starts / self.starts
-
-    @property
-    def unexplored(self) -> float:
-        """The part of the bounds, expected, from which starts would end in further minima.
-
-        w (w + 1) / (N (N - 1)) for N starts that ended in w different minima (Boender and Rinnooy
-        Kan, 'Bayesian stopping rules for multistart global optimization methods', Mathematical
-        Programming 37, 1987).
-        """
-        different = sum(minimum.starts > 0 for minimum in self.minima)
-        return min(1.0, different * (different + 1) / (self.starts * max(self.starts - 1, 1)))
-
-    def __str__(self) -> str:
-        error = dict(zip(self.fit.names, np.asarray(self.fit.standard_error), strict=True))
-        width = max(map(len, self.names))
-        lines = [
-            f"{name:<{width}}  {value:>11.5g}"
-            + (f" ± {error[name]:.2g}" if name in error else "  at its bound")
-            for name, value in self.values.items()
-        ]
-        return "\n".join([*lines, self.statement])
-
-    @property
-    def statement(self) -> str:
-        """Sentences about the search: the error has more than one minimum, or may have."""
-        first, *others = self.minima
-        text = (
-            f"The equations are not linear in {', '.join(self.names)}: a single minimum is no"
-            f" longer certain. {first.starts} of {self.starts} starts ended in the best minimum"
-        )
-        if not others:
-            return f"{text}; no other was seen."
-        listed = "; ".join(
-            ", ".join(
-                f"{name} = {value:.4g}"
-                for name, value in zip(self.names, minimum.values, strict=True)
-            )
-            + f" (error {minimum.ratio:.4g} times as large)"
-            for minimum in others[:_SHOWN]
-        )
-        more = f"; and {len(others) - _SHOWN} more" if len(others) > _SHOWN else ""
-        return (
-            f"{text}, {100 * self.unexplored:.2g} % of the bounds may lead to minima not seen."
-            f" Others: {listed}{more}."
-        )

@@ -11,16 +11,14 @@ from ..recordings import AveragedSplines, Patterns, Preparation, choose_spacing
 from ..report import ErrorTable, compare, condition_warning, degree_of_excitation
 from ..uncertainty import cross_validated_error, held_out_error
 from ._constants import constants_from
-from ._measurement_noise import check_noise, measurement_noise
+from ._description import DescriptionError
 from ._network import SystemNetwork
 from ._noise_correction import EquationsUndefined, Noise, NoiseCorrection, correct_for_noise
-from ._nonlinear import search_constants
-from ._patterns import system_patterns
-from ._recording import SystemRecording
+from ._recording import SystemRecording, check_noise, measurement_noise, system_patterns
 from ._report import SystemReport
+from ._search import search_constants
 from ._simulation import Simulation, simulate_system
 from ._system import System
-from .description import DescriptionError
 
 
 # Spacings of splines that are tried, as by `choose_spacing`, and those for finer sampling.

@@ -12,9 +12,9 @@ from jaxtyping import Array, Float
 
 from .._environment import require_float64
 from ..recordings import Patterns
+from ._description import DescriptionError
 from ._network import SystemNetwork
 from ._system import System
-from .description import DescriptionError
 
 
 if TYPE_CHECKING:

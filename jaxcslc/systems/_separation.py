@@ -1,31 +1,148 @@
-"""Separation of known variables from unknown constants: the third stage (C.1.4, C.2)."""
+"""Separation of known variables from unknown constants: the third stage (C.1.4, C.2).
+
+Equations become rational functions of generators (`_generators`), modulo their relations. What
+multiplies products of variables is written in a basis, the coefficients.
+"""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import sympy
 from flint import fmpq, fmpq_mat
 from jaxtyping import Float, Inexact
+from sympy import QQ, Add, Dummy, Mul, Rational, lambdify
+from sympy.polys.fields import field
 
-from jaxcslc._text_table import text_table
-from jaxcslc.derivation import Basis, Coefficient
-
-from ..description import DescriptionError, product_of_units
-from ._fractions import FractionField, Monomial
+from .._text_table import text_table
+from ..derivation import Basis, Coefficient
+from ._constants import ConstantIdentifiability, identifiability_of, independent
+from ._description import DescriptionError, product_of_units
 from ._generators import Generators
-from ._identifiability import ConstantIdentifiability, identifiability_of, independent
 
 
 if TYPE_CHECKING:
-    from .._system import System
+    from ._system import System
+
+
+Monomial = tuple[int, ...]
+
+
+class FractionField:
+    """Rational functions of generators with rational coefficients, modulo their relations.
+
+    Generators of variables come first, so that a monomial is what multiplies coefficients,
+    followed by a product of constants.
+
+    **Attributes**
+
+    - `variables`, `constants`: the generators, in the order of the exponents of monomials.
+    - `values`: the expression that each generator stands for.
+    """
+
+    def __init__(self, generators: Generators) -> None:
+        symbols = list(generators.values)
+        self.variables = [x for x in symbols if not generators.is_constant(x)]
+        self.constants = [x for x in symbols if generators.is_constant(x)]
+        self.values = generators.values
+        names = [*self.variables, *self.constants] or [Dummy()]  # no ring is without a generator
+        self.field = field(names, QQ)[0]
+        self.ring = self.field.ring
+        self._relations: list[tuple[int, int, Any]] = []
+        for generator, power, expression in generators.relations:
+            value = self.field.from_expr(expression)
+            if value.denom.is_ground:
+                replacement = value.numer.quo_ground(value.denom.LC)
+                self._relations.append((names.index(generator), power, replacement))
+
+    def fraction(self, expression: Any) -> tuple[Any, Any]:
+        """Return numerator and denominator, in normal form, of what `Generators.rational` made."""
+        fraction = self.field.from_expr(expression)
+        numerator, denominator = map(self.normal_form, (fraction.numer, fraction.denom))
+        if denominator.is_ground:
+            return numerator.quo_ground(denominator.LC), self.ring.one
+        return numerator.cancel(denominator)
+
+    def normal_form(self, polynomial: Any) -> Any:
+        """Return an equal polynomial without the powers that relations replace."""
+        changed = True
+        while changed:
+            changed = False
+            for index, power, value in self._relations:
+                while any(monomial[index] >= power for monomial in polynomial):
+                    kept, lowered = self.ring.zero, self.ring.zero
+                    for monomial, coefficient in polynomial.items():
+                        if monomial[index] < power:
+                            kept[monomial] = coefficient
+                        else:
+                            row = list(monomial)
+                            row[index] -= power
+                            lowered[tuple(row)] = coefficient
+                    polynomial = kept + lowered * value
+                    changed = True
+        return polynomial
+
+    def parts(self, polynomial: Any) -> dict[Monomial, "Form"]:
+        """Return the factor of each product of variables: a polynomial of constants."""
+        split, end = len(self.variables), len(self.variables) + len(self.constants)
+        parts: dict[Monomial, Form] = {}
+        for monomial, coefficient in polynomial.items():
+            parts.setdefault(monomial[:split], {})[monomial[split:end]] = coefficient
+        return parts
+
+    def of_variables(self, product: Monomial, factor: Any) -> Any:
+        """Return a product of variables, times a rational, as an element of the ring."""
+        monomial = (*product, *(0,) * len(self.constants)) or (0,)
+        return self.ring.from_dict({monomial: self._rational(factor)})
+
+    def of_constants(self, form: "Form") -> Any:
+        """Return a polynomial of constants as an element of the ring."""
+        none = (0,) * len(self.variables)
+        return self.ring.from_dict({(*none, *m): self._rational(x) for m, x in form.items()})
+
+    def _rational(self, x: Any) -> Any:
+        return QQ(int(x.numerator), int(x.denominator))
+
+    def factors(self, polynomial: Any) -> tuple[Any, Any, Any]:
+        """A polynomial as a product: of variables, of constants, and of factors of both."""
+        split = len(self.variables)
+        one = self.ring.one
+        parts = [one, one, one]
+        if polynomial.is_ground:
+            return polynomial, one, one
+        content, factors = polynomial.factor_list()
+        for factor, multiplicity in factors:
+            in_variables = any(any(monomial[:split]) for monomial in factor)
+            in_constants = any(any(monomial[split:]) for monomial in factor)
+            index = 2 if in_variables and in_constants else 1 if in_constants else 0
+            parts[index] *= factor**multiplicity
+        return parts[0] * content, parts[1], parts[2]
+
+    def quotient(self, polynomial: Any, divisor: Any) -> Any:
+        """Return a polynomial over another as an expression of the original symbols."""
+        if len(divisor) > 1:
+            return self.expression(polynomial) / self.expression(divisor)
+        ((below, number),) = divisor.items()
+        values = [self.values[x] for x in (*self.variables, *self.constants)]
+        terms: list[Any] = []
+        for monomial, coefficient in polynomial.items():
+            factor = coefficient / number
+            powers = (above - minus for above, minus in zip(monomial, below, strict=True))
+            factors = (x**n for x, n in zip(values, powers, strict=False) if n)
+            terms.append(Mul(Rational(int(factor.numerator), int(factor.denominator)), *factors))
+        return Add(*terms)
+
+    def expression(self, polynomial: Any) -> Any:
+        """Return a polynomial as an expression of the original symbols."""
+        return self.quotient(polynomial, self.ring.one)
 
 
 Form = dict[Monomial, Any]
 # Of an angle whose functions occur, how many times it is expanded into powers of them.
 _LARGER_MULTIPLES = (2, 4, 8)
-# Fractions of larger ones are printed as decimals.
+# Fractions of larger denominators are printed as decimals.
 _LONGEST_DENOMINATOR = 20
 
 
@@ -136,8 +253,6 @@ class Separation:
 
     @cached_property
     def _function(self) -> Any:
-        from sympy import lambdify
-
         symbols = list(self.symbols.values())
         return lambdify(symbols, list(self.formulas), modules="numpy", cse=True)
 
@@ -167,49 +282,14 @@ def separate(system: "System") -> Separation:
 
 
 def _separated(system: "System", largest_multiple: int) -> Separation:
-    from sympy import Integer
-
-    symbols = system.symbols
-    unknown = {c.name: symbols.constants[c.name] for c in system.unknown}
+    """Separate with multiples of angles expanded up to the largest."""
+    unknown = {c.name: system.symbols.constants[c.name] for c in system.unknown}
     sides = [(f"equation {name!r}", left - right) for name, (left, right) in system.numeric.items()]
     generators = Generators(sides, unknown.values(), largest_multiple)
     expressions = [generators.rational(where, x) for where, x in sides]
     field = FractionField(generators)
-    residuals = [field.of(expression) for expression in expressions]
-    notes: list[str] = []
-    divisors: list[tuple[Any, Any]] = []  # of variables, and of constants
-    for name, residual in zip(system.numeric, residuals, strict=True):
-        of_variables, of_constants, of_both = field.factors(residual.denominator)
-        divisors.append((of_variables, of_constants))
-        if of_both != 1:
-            notes.append(
-                f"equation {name!r} is multiplied by {field.expression(of_both)}, which has both"
-                " variables and unknown constants"
-            )
-    no_constants = (0,) * len(field.constants)
-    common = field.ring.one
-    for _, of_constants in divisors:
-        common = common.lcm(of_constants)
-
-    rows: list[tuple[int, Monomial, Form]] = []  # equation, product of variables, constants
-    known: list[Any] = []
-    (unit_form,) = field.parts(common).values()
-    lead = min(unit_form)
-    for index, (residual, (_, of_constants)) in enumerate(zip(residuals, divisors, strict=True)):
-        numerator = residual.numerator * common.exquo(of_constants)
-        known_part = field.ring.zero
-        for product, form in field.parts(numerator).items():
-            multiple = form.get(lead, 0) / unit_form[lead]
-            if multiple:
-                known_part += field.ring.from_dict({(*product, *no_constants): multiple})
-            unknown_part = {
-                key: value
-                for key in {**form, **unit_form}
-                if (value := form.get(key, 0) - multiple * unit_form.get(key, 0))
-            }
-            if unknown_part:
-                rows.append((index, product, {k: _exact(-x) for k, x in unknown_part.items()}))
-        known.append(field.quotient(known_part, divisors[index][0]))
+    numerators, divisors, common, notes = _cleared(system, field, expressions)
+    known, rows = _known_apart(field, numerators, common)
     if not any(known):
         raise DescriptionError(
             f"system {system.name!r}: every term of every equation has an unknown constant, so that"
@@ -228,22 +308,16 @@ def _separated(system: "System", largest_multiple: int) -> Separation:
         {key: value / factor for key, value in form.items()}
         for form, factor in zip(basis.forms, factors, strict=True)
     ]
-    entries: dict[tuple[int, int], Any] = {}
-    combinations: dict[int, list[list[Any]]] = {}
+    entries = [[field.ring.zero] * len(forms) for _ in known]
+    combinations: list[list[list[Any]]] = [[] for _ in known]
     for index, product, form in rows:
         parts = basis.combination(form)
         combination = [parts.get(j, fmpq(0)) * factor for j, factor in enumerate(factors)]
-        combinations.setdefault(index, []).append(combination)
+        combinations[index].append(combination)
         for j, multiple in enumerate(combination):
             if multiple:
-                term = field.ring.from_dict({(*product, *no_constants): _in_ring(field, multiple)})
-                entries[index, j] = entries.get((index, j), field.ring.zero) + term
-    formulas = tuple(
-        field.quotient(
-            field.of_constants({key: _in_ring(field, x) for key, x in form.items()}), common
-        )
-        for form in forms
-    )
+                entries[index][j] += field.of_variables(product, multiple)
+    formulas = tuple(field.quotient(field.of_constants(form), common) for form in forms)
     coefficients = tuple(
         _coefficient(system, field, form, formula, index, common)
         for index, (form, formula) in enumerate(zip(forms, formulas, strict=True), start=1)
@@ -252,16 +326,11 @@ def _separated(system: "System", largest_multiple: int) -> Separation:
         outputs=tuple(system.numeric),
         coefficients=coefficients,
         regressor=tuple(
-            tuple(
-                field.quotient(entries[i, j], divisors[i][0]) if (i, j) in entries else Integer(0)
-                for j in range(len(forms))
-            )
-            for i in range(len(known))
+            tuple(field.quotient(entry, divisor) for entry in row)
+            for row, divisor in zip(entries, divisors, strict=True)
         ),
-        known=tuple(known),
-        order_per_output=tuple(
-            fmpq_mat(combinations[i]).rank() if i in combinations else 0 for i in range(len(known))
-        ),
+        known=tuple(map(field.quotient, known, divisors)),
+        order_per_output=tuple(fmpq_mat(rows).rank() if rows else 0 for rows in combinations),
         identifiability=identifiability_of(unknown, formulas, coefficients),
         notes=tuple(notes),
         formulas=formulas,
@@ -269,20 +338,62 @@ def _separated(system: "System", largest_multiple: int) -> Separation:
     )
 
 
+def _cleared(
+    system: "System", field: FractionField, expressions: Sequence[Any]
+) -> tuple[list[Any], list[Any], Any, list[str]]:
+    """Multiply equations by their denominators, those of variables alone apart.
+
+    **Returns** numerators, a divisor made of variables for each, the constants that all are
+    multiplied by, and a note on each equation that both have multiplied.
+    """
+    notes: list[str] = []
+    split: list[tuple[Any, Any, Any]] = []
+    common = field.ring.one
+    for name, (numerator, denominator) in zip(
+        system.numeric, map(field.fraction, expressions), strict=True
+    ):
+        of_variables, of_constants, of_both = field.factors(denominator)
+        split.append((numerator, of_variables, of_constants))
+        common = common.lcm(of_constants)
+        if of_both != 1:
+            notes.append(
+                f"equation {name!r} is multiplied by {field.expression(of_both)}, which has both"
+                " variables and unknown constants"
+            )
+    numerators = [numerator * common.exquo(constants) for numerator, _, constants in split]
+    return numerators, [divisor for _, divisor, _ in split], common, notes
+
+
+def _known_apart(
+    field: FractionField, numerators: Sequence[Any], common: Any
+) -> tuple[list[Any], list[tuple[int, Monomial, Form]]]:
+    """Return what multiplies `common` alone in each equation, and the rows of all else.
+
+    A row is an equation, a product of variables, and the form in constants that multiplies it.
+    """
+    rows: list[tuple[int, Monomial, Form]] = []
+    known: list[Any] = []
+    (unit_form,) = field.parts(common).values()
+    lead = min(unit_form)
+    for index, numerator in enumerate(numerators):
+        known.append(field.ring.zero)
+        for product, form in field.parts(numerator).items():
+            multiple = form.get(lead, QQ(0)) / unit_form[lead]
+            known[index] += field.of_variables(product, multiple)
+            unknown_part = {
+                key: fmpq(-int(value.numerator), int(value.denominator))
+                for key in {**form, **unit_form}
+                if (value := form.get(key, QQ(0)) - multiple * unit_form.get(key, QQ(0)))
+            }
+            if unknown_part:
+                rows.append((index, product, unknown_part))
+    return known, rows
+
+
 def _readable(expression: Any) -> Any:
     """Replace long fractions by decimals."""
-    from sympy import Float, Rational
-
-    long = {x: Float(x, 6) for x in expression.atoms(Rational) if x.q > _LONGEST_DENOMINATOR}
+    long = {x: sympy.Float(x, 6) for x in expression.atoms(Rational) if x.q > _LONGEST_DENOMINATOR}
     return expression.xreplace(long)
-
-
-def _in_ring(field: FractionField, x: Any) -> Any:
-    return field.ring.domain(int(x.numerator), int(x.denominator))
-
-
-def _exact(x: Any) -> Any:
-    return fmpq(int(x.numerator), int(x.denominator))
 
 
 def _ordered(form: Form) -> list[tuple[Monomial, Any]]:
