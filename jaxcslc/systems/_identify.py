@@ -64,20 +64,8 @@ def identify_system(
       noise of no column, or below zero.
     - `RuntimeError`: a fit that fails, as of `LeastSquares.fit`.
 
-    >>> import numpy as np, sympy
-    >>> from sympy.physics.mechanics import dynamicsymbols
-    >>> from jaxcslc.systems import Constant, System, SystemRecording, Variable, identify_system
-    >>> level, inflow = dynamicsymbols("level inflow")
-    >>> area, outlet = sympy.symbols("area outlet")
-    >>> balance = sympy.Eq(inflow, area * level.diff() + outlet * sympy.sqrt(level))
-    >>> tank = System(
-    ...     "tank", {"volume": balance}, (Variable(level, "m"), Variable(inflow, "m³/s")),
-    ...     (Constant(area, "m²", sign="positive"), Constant(outlet)),
-    ... )
-    >>> time = np.arange(1000) * 0.05
-    >>> level, rate = 2 + np.sin(time), np.cos(time)
-    >>> columns = {"level": level, "inflow": 3 * rate + 0.5 * np.sqrt(level)}
-    >>> report = identify_system(tank, SystemRecording(time, columns))
+    >>> import numpy as np, jaxcslc as jc
+    >>> report = jc.identify_system(*jc.examples.tank())
     >>> np.round(report.k, 4).tolist(), report.network.names
     ([3.0, 0.5], ('area', 'outlet'))
     """
@@ -162,16 +150,9 @@ def system_settings(system: System, recording: SystemRecording) -> Settings:
 
     **Raises** `RecordingError` for a column that is missing.
 
-    >>> import numpy as np, sympy
-    >>> from sympy.physics.mechanics import dynamicsymbols
-    >>> from jaxcslc.systems import Constant, System, SystemRecording, Variable, system_settings
-    >>> level, inflow = dynamicsymbols("level inflow")
-    >>> area = sympy.Symbol("area")
-    >>> equations = {"volume": sympy.Eq(inflow, area * level.diff())}
-    >>> tank = System("tank", equations, (Variable(level), Variable(inflow)), (Constant(area),))
-    >>> time = np.arange(400) * 0.1
-    >>> recording = SystemRecording(time, {"level": np.sin(time), "inflow": np.cos(time)})
-    >>> print(system_settings(tank, recording).preparation.smoothing.description)
+    >>> import jaxcslc as jc
+    >>> from jaxcslc.systems import system_settings
+    >>> print(system_settings(*jc.examples.tank(samples=400)).preparation.smoothing.description)
     averaged splines of (5,) samples
     """
     if not system.states:

@@ -77,11 +77,6 @@ class SystemRecording:
         """Number of samples."""
         return len(self.time)
 
-    @property
-    def interval(self) -> float:
-        """Median interval between samples [s]."""
-        return float(np.median(np.diff(self.time)))
-
     def column(self, name: str) -> Float[np.ndarray, " samples"]:
         """A column, or time.
 
@@ -146,17 +141,13 @@ def measurement_noise(system: "System", recording: SystemRecording) -> dict[str,
 
     **Raises** `RecordingError` for a column that is missing.
 
-    >>> import numpy as np, sympy
-    >>> from sympy.physics.mechanics import dynamicsymbols
-    >>> from jaxcslc.systems import Constant, System, SystemRecording, Variable, measurement_noise
-    >>> level, inflow = dynamicsymbols("level inflow")
-    >>> area = sympy.Symbol("area")
-    >>> equations = {"volume": sympy.Eq(inflow, area * level.diff())}
-    >>> tank = System("tank", equations, (Variable(level), Variable(inflow)), (Constant(area),))
-    >>> time = np.arange(4000) * 0.1
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.systems import measurement_noise
+    >>> tank, exact = jc.examples.tank(samples=4000)
     >>> noise = 0.01 * np.random.default_rng(0).normal(size=4000)
-    >>> recording = SystemRecording(time, {"level": np.sin(time) + noise, "inflow": np.cos(time)})
-    >>> {name: round(float(value), 3) for name, value in measurement_noise(tank, recording).items()}
+    >>> columns = exact.columns | {"level": exact.columns["level"] + noise}
+    >>> levels = measurement_noise(tank, jc.SystemRecording(exact.time, columns))
+    >>> {name: round(float(value), 3) for name, value in levels.items()}
     {'level': 0.01, 'inflow': 0.0}
     """
     columns = np.stack([recording.column(name) for name in system.column_names], axis=1)
@@ -235,18 +226,9 @@ def system_patterns(
     - `ValueError`: a recording that the smoothing cannot use, options for joints, a selection that
       leaves nothing, or known sides that are not finite.
 
-    >>> import numpy as np, sympy
-    >>> from sympy.physics.mechanics import dynamicsymbols
-    >>> from jaxcslc.systems import Constant, System, SystemRecording, Variable, system_patterns
-    >>> level, inflow = dynamicsymbols("level inflow")
-    >>> area = sympy.Symbol("area")
-    >>> tank = System(
-    ...     "tank", {"volume": sympy.Eq(inflow, area * level.diff())},
-    ...     (Variable(level, "m"), Variable(inflow, "m³/s")), (Constant(area, "m²"),),
-    ... )
-    >>> time = np.arange(200) * 0.1
-    >>> recording = SystemRecording(time, {"level": np.sin(time), "inflow": 2 * np.cos(time)})
-    >>> patterns = system_patterns(tank, recording)
+    >>> import jaxcslc as jc
+    >>> from jaxcslc.systems import system_patterns
+    >>> patterns = system_patterns(*jc.examples.tank(samples=200))
     >>> patterns.q.shape, patterns.torque.shape
     ((182, 2), (182, 1))
     """
@@ -265,13 +247,20 @@ def system_patterns(
     q, qd, qdd = (values[inside] for values in derivatives)
     separation = system.separation
     known = system.evaluate(separation.known, q, qd, qdd)
-    for name, values in zip(system.outputs, known.T, strict=True):
-        _check_finite(values, f"equation {name!r}, its known side", trim)
-    for name, row in zip(system.outputs, separation.regressor, strict=True):
-        for coefficient, values in zip(
-            separation.names, system.evaluate(row, q, qd, qdd).T, strict=True
-        ):
-            _check_finite(values, f"equation {name!r}, what multiplies {coefficient}", trim)
+    for output, name in enumerate(system.outputs):
+        regressor = system.evaluate(separation.regressor[output], q, qd, qdd)
+        sides = {"its known side": known[:, output]}
+        sides |= {
+            f"what multiplies {coefficient}": values
+            for coefficient, values in zip(separation.names, regressor.T, strict=True)
+        }
+        for what, values in sides.items():
+            if not np.all(finite := np.isfinite(values)):
+                first = int(np.argmin(finite))
+                raise ValueError(
+                    f"equation {name!r}, {what}: {values[first]} at sample {first + trim + 1};"
+                    " expected measurements for which it is a finite number"
+                )
     mask = _mask(system, preparation, (q, qd, qdd))
     if not np.any(mask):
         raise ValueError(
@@ -312,23 +301,12 @@ def system_derivatives(
             for i, column in measured.items()
         ]
         smoothed = smoothing.low_pass(time, np.stack(recorded, axis=1))
-        for column, (i, present) in zip(smoothed.T, measured.items(), strict=True):
-            if present is not None:
+        for column, i in zip(smoothed.T, states, strict=True):
+            if measured[i] is not None:
                 target[:, i] = column
                 if target is qd:
                     qdd[:, i] = np.gradient(column, time, edge_order=2)
     return q, qd, qdd
-
-
-def _check_finite(values: Float[np.ndarray, " samples"], what: str, trim: int) -> None:
-    """**Raises** `ValueError` naming the first sample that is not finite, counted from 1."""
-    finite = np.isfinite(values)
-    if not np.all(finite):
-        first = int(np.argmin(finite))
-        raise ValueError(
-            f"{what}: {values[first]} at sample {first + trim + 1}; expected measurements for which"
-            " it is a finite number"
-        )
 
 
 def _mask(

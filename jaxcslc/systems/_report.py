@@ -249,18 +249,10 @@ class SystemReport(AbstractReport[SystemNetwork]):
     - `simulation`: of the identified system from the first sample of the validation recording, or
       why it cannot be simulated; None without a validation recording.
 
-    >>> import numpy as np, sympy
-    >>> from jaxcslc.systems import Constant, System, SystemRecording, Variable, identify_system
-    >>> current, voltage, resistance = sympy.symbols("current voltage resistance")
-    >>> wire = System(
-    ...     "wire", {"Ohm": sympy.Eq(voltage, resistance * current)},
-    ...     (Variable(current, "A"), Variable(voltage, "V")), (Constant(resistance, "Ω"),),
-    ... )
-    >>> time = np.arange(400) * 0.1
-    >>> columns = {"current": np.sin(time), "voltage": 2.5 * np.sin(time)}
-    >>> report = identify_system(wire, SystemRecording(time, columns))
-    >>> [(row["name"], round(row["value"], 6), row["unit"]) for row in report.rows()]
-    [('resistance', 2.5, 'Ω')]
+    >>> import jaxcslc as jc
+    >>> report = jc.identify_system(*jc.examples.tank())
+    >>> [(row["name"], round(row["value"], 3), row["unit"]) for row in report.rows()]
+    [('area', 3.0, 'm²'), ('outlet', 0.5, '')]
     """
 
     kinds: ClassVar[tuple[type[AbstractSection], ...]] = SYSTEM_SECTIONS
@@ -289,18 +281,9 @@ def load_system_report(path: str | Path) -> SystemReport:
 
     - `ValueError`: there is no such file, or it holds something else.
 
-    >>> import tempfile, numpy as np, sympy
-    >>> from jaxcslc.systems import (
-    ...     Constant, System, SystemRecording, Variable, identify_system, load_system_report
-    ... )
-    >>> current, voltage, resistance = sympy.symbols("current voltage resistance")
-    >>> wire = System(
-    ...     "wire", {"Ohm": sympy.Eq(voltage, resistance * current)},
-    ...     (Variable(current, "A"), Variable(voltage, "V")), (Constant(resistance, "Ω"),),
-    ... )
-    >>> time = np.arange(400) * 0.1
-    >>> columns = {"current": np.sin(time), "voltage": 2.5 * np.sin(time)}
-    >>> report = identify_system(wire, SystemRecording(time, columns))
+    >>> import tempfile, jaxcslc as jc
+    >>> from jaxcslc.systems import load_system_report
+    >>> report = jc.identify_system(*jc.examples.tank())
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     _ = report.save(folder, pictures=False)
     ...     str(load_system_report(folder)) == str(report)
