@@ -1,20 +1,67 @@
 """Kinematics of a robot, its axes grouped by parallelism, and the unit velocities of its links.
 
-The vector functions work over any kind of number: rationals, floats, arrays or expressions. They
+Decimals and angles become exact first: rationals, and rational points of the unit circle. The
+vector functions work over any kind of number: rationals, floats, arrays or expressions. They
 skip operations with zero and one, which right angles and zero lengths cause. `link_twists` gives
 what Eqn. 2.3-24 needs of the transforms.
 """
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from typing import Any, no_type_check
 
 from flint import fmpq
 
 from ..manipulator import Joint, Manipulator
-from ._exact import exact_cos_sin
+
+
+# Angles this close to a multiple of 90 degrees are taken as exactly that [rad].
+_RIGHT_ANGLE_TOLERANCE = 1e-9
+# A rational t = tan(angle / 2) of this denominator moves the angle by less than 1e-15 rad. (The
+# nearest fraction of a *bounded* denominator does not: beside a simple fraction there is a gap.)
+_TANGENT_DENOMINATOR = 2**52
+
+
+def exact_number(value: float):
+    """The rational that the shortest decimal of a float says: 0.4318 is 4318/10000.
+
+    >>> exact_number(0.25)
+    1/4
+    """
+    fraction = decimal_fraction(value)
+    return fmpq(fraction.numerator, fraction.denominator)
+
+
+def decimal_fraction(value: float) -> Fraction:
+    """Return the same rational as one of Python's."""
+    return Fraction(repr(float(value)))
+
+
+def exact_cos_sin(angle: float):
+    """Cosine and sine of an angle [rad] as a rational point of the unit circle.
+
+    Multiples of 90° are exact. Any other angle is replaced by the nearby one whose half has a
+    rational tangent t: ((1 - t²) / (1 + t²), 2 t / (1 + t²)), so that cos² + sin² = 1 holds
+    exactly and the algebra sees a true rotation; it differs from the given one by less than
+    1e-15 rad.
+
+    >>> exact_cos_sin(-math.pi / 2)
+    (0, -1)
+    """
+    quarter_turns = round(angle / (math.pi / 2))
+    if abs(angle - quarter_turns * (math.pi / 2)) < _RIGHT_ANGLE_TOLERANCE:
+        cos, sin = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter_turns % 4]
+        return fmpq(cos), fmpq(sin)
+    remainder = angle - quarter_turns * (math.pi / 2)
+    t = fmpq(round(math.tan(remainder / 2) * _TANGENT_DENOMINATOR), _TANGENT_DENOMINATOR)
+    cos, sin = (1 - t * t) / (1 + t * t), 2 * t / (1 + t * t)
+    for _ in range(quarter_turns % 4):
+        cos, sin = -sin, cos
+    return cos, sin
 
 
 # Vectors of any kind of number: rationals, polynomials, arrays, expressions. Zeros that are part of

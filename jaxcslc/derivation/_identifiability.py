@@ -9,7 +9,7 @@ from typing import Literal
 from flint import fmpq, fmpq_mat
 
 from ._algebra import Algebra
-from ._inertial_terms import InertialTerm
+from ._lagrange import InertialTerm
 
 
 Identifiability = Literal["alone", "only in combinations", "not at all"]

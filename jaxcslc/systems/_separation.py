@@ -17,7 +17,7 @@ from sympy import QQ, Add, Dummy, Mul, Rational, lambdify
 from sympy.polys.fields import field
 
 from .._text_table import text_table
-from ..derivation import Basis, Coefficient
+from ..derivation import Basis, Coefficient, product_text, sum_text
 from ._constants import ConstantIdentifiability, identifiability_of, independent
 from ._description import DescriptionError, product_of_units
 from ._generators import Generators
@@ -425,24 +425,12 @@ def _sign(field: FractionField, form: Form) -> int:
 
 
 def _text(field: FractionField, form: Form) -> str:
-    """A form as it is printed, its rationals as decimals: `"M + 0.5*m"`."""
-    text = ""
-    for monomial, factor in _ordered(form):
-        size = abs(factor)
-        names = [
-            str(field.values[generator]) + ("" if power == 1 else f"^{power}")
-            for generator, power in zip(field.constants, monomial, strict=True)
-            if power
-        ]
-        number = (
-            str(size.numerator)
-            if size.denominator == 1
-            else repr(int(size.numerator) / int(size.denominator))
-        )
-        parts = "*".join([*([] if size == 1 and names else [number]), *names])
-        sign = "-" if factor < 0 else "+"
-        text += f" {sign} {parts}" if text else f"{'-' if sign == '-' else ''}{parts}"
-    return text
+    """Return a form as it is printed, its rationals as decimals: `"M + 0.5*m"`."""
+    names = [str(field.values[generator]) for generator in field.constants]
+    return sum_text(
+        (factor, product_text(zip(names, monomial, strict=True)))
+        for monomial, factor in _ordered(form)
+    )
 
 
 def _coefficient(
