@@ -1,7 +1,6 @@
 """One row of modified Denavit-Hartenberg parameters, with its lengths, angles and numberings.
 
-`modified_dh_joints` makes joints of rows and checks them. `joint_table` is the pandas table of
-`Manipulator.to_pandas` (thesis 2.6.1).
+`parsed_joint` checks the entries of a row, `modified_dh_joints` whole tables of them.
 """
 
 import math
@@ -11,11 +10,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from .._environment import require
-from ._errors import RobotError
 
 
 if TYPE_CHECKING:
     from ._manipulator import Manipulator
+
+
+class RobotError(ValueError):
+    """A robot description that cannot be read, is contradictory, or is incomplete.
+
+    The message is one line: which file or argument, which joint or key, what it is and what
+    was expected.
+    """
 
 
 JointKind = Literal["R", "P"]
@@ -194,6 +200,28 @@ def unused_lengths(values: Mapping[str, float], joints: Iterable[Joint], where: 
         raise RobotError(f"{where}: {unused[0]!r} is not used by any joint")
 
 
+def parsed_joint(entries: Mapping[str, Any], lengths: dict[str, float], where: str) -> Joint:
+    """Return the joint of a row's entries: kind, parent, and parameters, zero where left out.
+
+    **Raises**
+
+    - `RobotError`: naming the entry that is wrong.
+    """
+    kind, parent = entries.get("kind", "R"), entries.get("parent")
+    if kind not in ("R", "P"):
+        raise RobotError(f"{where}, kind: expected 'R' (revolute) or 'P' (prismatic), got {kind!r}")
+    if parent is not None and (isinstance(parent, bool) or not isinstance(parent, int)):
+        raise RobotError(
+            f"{where}, parent: expected the number of a joint, or 0 for the base, got {parent!r}"
+        )
+    alpha, theta, gamma = (
+        parse_angle(entries.get(name, 0), f"{where}, {name}")
+        for name in ("alpha", "theta", "gamma")
+    )
+    a, d, b = (parse_length(entries.get(x, 0), lengths, f"{where}, {x}") for x in ("a", "d", "b"))
+    return Joint(kind, alpha, a, d, theta, gamma, b, parent)
+
+
 def modified_dh_joints(
     rows: Sequence[Sequence[float | int | str]],
     parents: Sequence[int] | None,
@@ -227,19 +255,10 @@ def modified_dh_joints(
                 f"{where}, joint {i}: expected (alpha, a, d, theta) or"
                 f" (alpha, a, d, theta, gamma, b), got {row!r}"
             )
-        at = f"{where}, joint {i}"
-        joints.append(
-            Joint(
-                "P" if kind == "P" else "R",
-                parse_angle(row[0], f"{at}, alpha"),
-                parse_length(row[1], values, f"{at}, a"),
-                parse_length(row[2], values, f"{at}, d"),
-                parse_angle(row[3], f"{at}, theta"),
-                parse_angle(row[4], f"{at}, gamma") if len(row) == 6 else 0.0,
-                parse_length(row[5] if len(row) == 6 else 0, values, f"{at}, b"),
-                None if parents is None else int(parents[i - 1]),
-            )
-        )
+        entries = dict(zip(("alpha", "a", "d", "theta", "gamma", "b"), row, strict=False))
+        parent = None if parents is None else int(parents[i - 1])
+        of_row = {**entries, "kind": kind, "parent": parent}
+        joints.append(parsed_joint(of_row, values, f"{where}, joint {i}"))
     unused_lengths(values, joints, f"{where}, lengths")
     return tuple(joints)
 

@@ -1,24 +1,24 @@
 """Robot as a chain or tree of rigid links, with its friction model and its file.
 
-A `Manipulator` is immutable. Its `with_...` methods return changed copies. Read with `_joint`,
-`_link_parameters`, `_friction` and `_source`, of whose objects it is made.
+A `Manipulator` is immutable. Its `with_...` methods return changed copies. Its `Source` says where
+it comes from: file, joint limits, joints that follow others. Read with `_joint`, `_link_parameters`
+and `_friction`, of whose objects it is made.
 """
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._errors import RobotError
 from ._friction import (
     FRICTION_TERMS,
     Coupling,
     check_friction,
-    check_joint_friction,
     check_slopes,
     couplings,
 )
@@ -26,13 +26,96 @@ from ._joint import (
     Joint,
     Length,
     Numbering,
+    RobotError,
     Subnumbering,
     gravity_vector,
     joint_table,
     modified_dh_joints,
 )
 from ._link_parameters import InertiaForm, LinkInertia, LinkParameters
-from ._source import JointLimits, Source
+
+
+RobotFormat = Literal["toml", "urdf", "mjcf"]
+Mimics = Literal["fix", "couple"]
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Limits of a joint according to the robot's file; infinite where the file states none.
+
+    **Attributes**
+
+    - `low`, `high`: of its position [rad or m].
+    - `speed`: [rad/s or m/s].
+    - `torque`: [N m or N].
+
+    >>> from jaxcslc.manipulator import JointLimits
+    >>> JointLimits(speed=2.2).torque
+    inf
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    speed: float = math.inf
+    torque: float = math.inf
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A joint that follows another: its position is `multiplier` times the other's plus `offset`.
+
+    **Attributes**
+
+    - `follower`, `leader`: names of the joints; the leader follows none.
+    - `multiplier`: [rad/rad, or m/rad of a finger that slides].
+    - `offset`: [rad or m].
+
+    >>> from jaxcslc.manipulator import Mimic
+    >>> Mimic("right finger", "left finger", -1.0).offset
+    0.0
+    """
+
+    follower: str
+    leader: str
+    multiplier: float
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """The file that a robot was read from, and how its links correspond to the file's bodies.
+
+    **Attributes**
+
+    - `path`, `format`: of the file.
+    - `base`, `tips`: the part of the file's tree that was asked for, as bodies' names.
+    - `fix`: joints and bodies that were to be fixed.
+    - `mimic`: what was to become of joints that mimic others.
+    - `fixed_joints`: joints that move in the file and are none of the robot's, taken as at zero.
+    - `joints`, `links`: for each joint of the robot, the file's joint and the body that it moves.
+    - `placements`: (4, 4) for each link, the pose of the file's body frame in the link's frame,
+      lengths in m.
+    - `carried`: for each link, all else that is fixed to the body, as one body in the link's
+      frame; or None.
+    - `limits`: of the joints; empty where the file has none.
+    - `mimics`: joints of the robot that follow others; empty unless they were asked for.
+    - `notes`: what of the file was not taken as it stands, a sentence each.
+    """
+
+    path: str
+    format: RobotFormat
+    joints: tuple[str, ...]
+    links: tuple[str, ...]
+    placements: tuple[Float[np.ndarray, "4 4"], ...]
+    carried: tuple[LinkParameters | None, ...]
+    base: str | None = None
+    tips: tuple[str, ...] = ()
+    fix: tuple[str, ...] = ()
+    fixed_joints: tuple[str, ...] = ()
+    limits: tuple[JointLimits, ...] = ()
+    mimics: tuple[Mimic, ...] = ()
+    mimic: Mimics | None = None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, repr=False)
@@ -79,7 +162,7 @@ class Manipulator:
         n = len(self.joints)
         if n == 0:
             raise RobotError(f"robot {self.name!r} has no joints")
-        for field in ("inertia", "links", "viscous", "dry"):
+        for field in ("inertia", "links", "viscous", "dry", "joint_friction", "static_slopes"):
             value = getattr(self, field)
             if value is not None and len(value) != n:
                 raise RobotError(
@@ -88,8 +171,10 @@ class Manipulator:
                 )
         where = f"robot {self.name!r}"
         check_friction(self.friction, where)
-        check_joint_friction(self.joint_friction, n, where)
-        check_slopes(self.static_slopes, n, where)
+        for i, terms in enumerate(self.joint_friction or (), start=1):
+            if terms is not None:
+                check_friction(terms, f"{where}, joint {i}")
+        check_slopes(self.static_slopes or (), where)
         object.__setattr__(self, "coupled", couplings(self.coupled, self.kinds, where))
         named = {
             length.symbol

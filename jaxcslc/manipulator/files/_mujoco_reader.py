@@ -17,10 +17,9 @@ from jaxtyping import Float
 
 from jaxcslc._environment import require
 
-from .._errors import RobotError
-from .._joint import JointKind
+from .._joint import JointKind, RobotError
 from .._link_parameters import LinkParameters
-from .._source import JointLimits, Mimic
+from .._manipulator import JointLimits, Mimic
 from ._urdf import Edit, simplified
 
 
@@ -66,8 +65,17 @@ class BodyTree(NamedTuple):
 
     bodies: tuple[Body, ...]
     gravity: tuple[float, float, float]
-    constraints: tuple[tuple[str, tuple[str, str]], ...]  # kind, and the two that it connects
-    mimics: tuple[Mimic, ...] = ()  # joints that follow others by a linear law
+    leaders: Mapping[str, str]  # of joints that follow others, or are held by the world
+    loops: tuple[tuple[str, tuple[str, str]], ...]  # other constraints: kind, what they connect
+    mimics: Sequence[Mimic] = ()  # joints that follow others by a linear law
+
+    @property
+    def joints(self) -> list[FileJoint]:
+        return [joint for body in self.bodies for joint in body.joints]
+
+    def carried_by(self, body: int) -> set[int]:
+        """Return a body and all that it carries."""
+        return {i for i in range(len(self.bodies)) if body in self.path(i)}
 
     def path(self, body: int) -> Iterator[int]:
         """Yield the indices of the bodies from a body to the world, both included."""
@@ -107,7 +115,8 @@ def _read(path: Path, urdf: bool, edits: Sequence[Edit]) -> BodyTree:
     unknown = _without_geometry(spec, urdf)
     massless = {b.name for b in spec.bodies if not (b.explicitinertial or b.geoms)} - unknown
     stated = _replaced_inertias(spec, {*inertials, *unknown, *massless})
-    constraints, laws = tuple(_constraints(spec)), tuple(_laws(spec))
+    leaders, loops = _constraints(spec)
+    laws = tuple(_laws(spec))
     _delete(spec.equalities, spec)
     spec.compiler.fusestatic = False
     try:
@@ -121,7 +130,7 @@ def _read(path: Path, urdf: bool, edits: Sequence[Edit]) -> BodyTree:
         if name in unknown or faults.get(name):
             inertia = None
         elif name in massless:
-            inertia = _massless()
+            inertia = LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))
         elif name in inertials:
             mass, _, tensor = inertials[name]
             inertia = LinkParameters(mass, stated[name], rotation @ tensor @ rotation.T)
@@ -141,7 +150,7 @@ def _read(path: Path, urdf: bool, edits: Sequence[Edit]) -> BodyTree:
         for y, x, (constant, slope) in laws
         if y in zero and x in zero
     )
-    return BodyTree(tuple(bodies), (x, y, z), constraints, tuple(mimics))
+    return BodyTree(tuple(bodies), (x, y, z), leaders, loops, tuple(mimics))
 
 
 def _parsed(path: Path, urdf: bool, edits: Sequence[Edit]) -> Any:
@@ -272,11 +281,21 @@ def _replaced_inertias(spec: Any, names: set[str]) -> dict[str, Float[np.ndarray
     return centres
 
 
-def _constraints(spec: Any) -> Iterator[tuple[str, tuple[str, str]]]:
+def _constraints(
+    spec: Any,
+) -> tuple[dict[str, str], tuple[tuple[str, tuple[str, str]], ...]]:
+    """Return the joints that follow others, with these, and all other constraints."""
+    leaders: dict[str, str] = {}
+    loops: list[tuple[str, tuple[str, str]]] = []
     for equality in spec.equalities:
         if equality.active and equality.name1:
             kind = equality.type.name.removeprefix("mjEQ_").lower()
-            yield f"equality of kind {kind!r}", (equality.name1, equality.name2 or WORLD)
+            first, second = equality.name1, equality.name2 or WORLD
+            if kind == "joint":
+                leaders[first] = second
+            else:
+                loops.append((f"equality of kind {kind!r}", (first, second)))
+    return leaders, tuple(loops)
 
 
 def _laws(spec: Any) -> Iterator[tuple[str, str, tuple[float, float]]]:
@@ -358,18 +377,10 @@ def _both_ways(low: float, high: float) -> float:
 
 
 def _rotation(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
-    w, x, y, z = np.asarray(quaternion) / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def _massless() -> LinkParameters:
-    return LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))
+    mujoco: Any = require("mujoco", "urdf")
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, quaternion / np.linalg.norm(quaternion))
+    return matrix.reshape(3, 3)
 
 
 def _mujoco_error(path: Path, error: ValueError) -> RobotError:

@@ -11,21 +11,19 @@ import numpy as np
 
 from jaxcslc._toml_document import toml_document
 
-from .._errors import RobotError
 from .._friction import STATIC_SLOPE, Coupling, couplings
 from .._joint import (
     Joint,
     Numbering,
+    RobotError,
     Subnumbering,
     finite_number,
     length_table,
-    parse_angle,
-    parse_length,
+    parsed_joint,
     unused_lengths,
 )
 from .._link_parameters import LinkInertia, LinkParameters, motor_inertia
-from .._manipulator import Manipulator
-from .._source import Source
+from .._manipulator import Manipulator, Source
 
 
 _ROUNDING = 1e-12
@@ -104,12 +102,10 @@ def _bundled(name: str) -> Manipulator:
 
 
 def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
-    _check_keys(document, _ROBOT_KEYS, where)
-    lengths = length_table(
-        _table(document.get("lengths", {}), f"{where}, [lengths]"), f"{where}, [lengths]"
-    )
-    defaults = _table(document.get("links", {}), f"{where}, [links]")
-    _check_keys(defaults, _DEFAULT_KEYS, f"{where}, [links]")
+    _table(document, where, _ROBOT_KEYS)
+    named = _table(document.get("lengths", {}), f"{where}, [lengths]")
+    lengths = length_table(named, f"{where}, [lengths]")
+    defaults = _table(document.get("links", {}), f"{where}, [links]", _DEFAULT_KEYS)
     entries = document.get("joint")
     if not isinstance(entries, list) or not entries:
         raise RobotError(f"{where}: expected at least one [[joint]]")
@@ -119,11 +115,9 @@ def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
     links: list[LinkParameters | None] = []
     for i, entry in enumerate(entries, start=1):
         at = f"{where}, joint {i}"
-        table = _table(entry, at)
-        _check_keys(table, _JOINT_KEYS, at)
-        joints.append(_joint(table, lengths, at))
-        link = _table(table.get("link", {}), f"{at}, link")
-        _check_keys(link, _LINK_KEYS, f"{at}, link")
+        table = _table(entry, at, _JOINT_KEYS)
+        joints.append(parsed_joint(table, lengths, at))
+        link = _table(table.get("link", {}), f"{at}, link", _LINK_KEYS)
         inertia.append(_inertia(link, defaults, f"{at}, link"))
         links.append(_parameters(link, inertia[-1], f"{at}, link"))
     unused_lengths(lengths, joints, f"{where}, [lengths]")
@@ -159,27 +153,6 @@ def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
         dry=_friction(entries, "dry", terms, where),
         static_slopes=_static_slopes(entries, robot, where),
         numbering=_numbering(document["numbering"], where) if "numbering" in document else None,
-    )
-
-
-def _joint(table: Mapping[str, Any], lengths: dict[str, float], at: str) -> Joint:
-    kind = table.get("kind", "R")
-    if kind not in ("R", "P"):
-        raise RobotError(f"{at}, kind: expected 'R' (revolute) or 'P' (prismatic), got {kind!r}")
-    parent = table.get("parent")
-    if parent is not None and (isinstance(parent, bool) or not isinstance(parent, int)):
-        raise RobotError(
-            f"{at}, parent: expected the number of a joint, or 0 for the base, got {parent!r}"
-        )
-    return Joint(
-        kind,
-        parse_angle(table.get("alpha", 0), f"{at}, alpha"),
-        parse_length(table.get("a", 0), lengths, f"{at}, a"),
-        parse_length(table.get("d", 0), lengths, f"{at}, d"),
-        parse_angle(table.get("theta", 0), f"{at}, theta"),
-        parse_angle(table.get("gamma", 0), f"{at}, gamma"),
-        parse_length(table.get("b", 0), lengths, f"{at}, b"),
-        parent,
     )
 
 
@@ -351,12 +324,10 @@ def _coupled(value: Any, joints: list[Joint], where: str) -> tuple[Coupling, ...
 
 def _numbering(table: Any, where: str) -> Numbering:
     at = f"{where}, [numbering]"
-    table = _table(table, at)
-    _check_keys(table, {"source", "mass", "velocity", "gravity"}, at)
+    table = _table(table, at, {"source", "mass", "velocity", "gravity"})
 
     def part(name: str) -> Subnumbering:
-        sub = _table(table.get(name, {}), f"{at}, {name}")
-        _check_keys(sub, {"inputs", "coefficients"}, f"{at}, {name}")
+        sub = _table(table.get(name, {}), f"{at}, {name}", {"inputs", "coefficients"})
         try:
             coefficients = tuple(
                 (str(entry), tuple(int(index) for index in column), float(multiple))
@@ -373,17 +344,16 @@ def _numbering(table: Any, where: str) -> Numbering:
     return Numbering(str(table.get("source", "")), part("mass"), part("velocity"), part("gravity"))
 
 
-def _table(value: Any, at: str) -> dict[str, Any]:
+def _table(value: Any, at: str, keys: set[str] | None = None) -> dict[str, Any]:
+    """Return a table, which has none but these keys."""
     if not isinstance(value, dict):
         raise RobotError(f"{at}: expected a table, got {value!r}")
-    return value  # pyright: ignore[reportUnknownVariableType]
-
-
-def _check_keys(table: Mapping[str, Any], allowed: set[str], at: str) -> None:
-    if unknown := sorted(set(table) - allowed):
+    table: dict[str, Any] = value  # pyright: ignore[reportUnknownVariableType]
+    if keys is not None and (unknown := sorted(set(table) - keys)):
         raise RobotError(
-            f"{at}: unknown key {unknown[0]!r}; expected some of {', '.join(sorted(allowed))}"
+            f"{at}: unknown key {unknown[0]!r}; expected some of {', '.join(sorted(keys))}"
         )
+    return table
 
 
 def _number(value: Any, at: str) -> float:
