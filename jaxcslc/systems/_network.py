@@ -1,69 +1,20 @@
 """A system as a network of exactly its form: the fourth stage (thesis C.2)."""
 
-import dataclasses
-from collections.abc import Callable, Sequence
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
-from sympy import lambdify
 
 from ..derivation import Coefficient
 from ..network import AbstractLinearNetwork, AbstractTerm
-
-
-if TYPE_CHECKING:
-    from ._system import System
+from ._system import Formulas, System
 
 
 Motion = Float[Array | np.ndarray, "... variables"]
 Outputs = Float[Array, "*batch outputs"]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Formulas:
-    """SymPy expressions of motion and searched constants as one compiled function.
-
-    **Attributes**
-
-    - `symbols`: (variable, order) of each motion symbol that occurs.
-    - `expressions`: to be evaluated.
-    - `arguments`: the symbols themselves, then those of searched constants.
-    """
-
-    symbols: tuple[tuple[int, int], ...]
-    expressions: tuple[Any, ...]
-    arguments: tuple[Any, ...]
-
-    @classmethod
-    def of(cls, system: "System", expressions: Sequence[Any]) -> "Formulas":
-        """Return the formulas of expressions in the symbols of a system."""
-        used = {symbol for expression in expressions for symbol in expression.free_symbols}
-        symbols = {key: x for key, x in system.symbols.motion.items() if x in used}
-        searched = (system.symbols.constants[constant.name] for constant in system.nonlinear)
-        return cls(tuple(symbols), tuple(expressions), (*symbols.values(), *searched))
-
-    @cached_property
-    def _function(self) -> Callable[..., Any]:
-        return lambdify(self.arguments, list(self.expressions), modules="jax", cse=True)
-
-    def __call__(
-        self,
-        motion: Sequence[Float[Array, "*batch variables"]],
-        nonlinear: Float[Array | np.ndarray, " nonlinear"],
-    ) -> list[Float[Array, "*batch"]]:
-        """Evaluate the expressions: one array each.
-
-        - `motion`: values, first and second derivatives of the variables.
-        """
-        arguments = [motion[order][..., variable] for variable, order in self.symbols]
-        dtype, shape = motion[0].dtype, motion[0].shape[:-1]
-        values = self._function(*arguments, *(jnp.asarray(x, dtype) for x in nonlinear))
-        return [jnp.broadcast_to(jnp.asarray(value, dtype), shape) for value in values]
 
 
 class SystemTerm(AbstractTerm):
@@ -101,7 +52,7 @@ class SystemTerm(AbstractTerm):
             return id(self.nonlinear)
         return hash((self.formulas, np.asarray(self.nonlinear).tobytes()))
 
-    def _values(self, *motion: Float[Array, "*batch variables"]) -> dict[tuple[int, int], Array]:
+    def _values(self, *motion: Float[Array, "*batch variables"]) -> dict[tuple[int, int], Any]:
         """Return the value of each of `entries`."""
         return dict(zip(self.entries, self.formulas(motion, self.nonlinear), strict=True))
 
@@ -172,11 +123,11 @@ class SystemNetwork(AbstractLinearNetwork):
     """
 
     terms: tuple[SystemTerm]
-    system: "System" = eqx.field(static=True)
+    system: System = eqx.field(static=True)
     known_sides: Formulas = eqx.field(static=True)
 
     @classmethod
-    def of(cls, system: "System") -> "SystemNetwork":
+    def of(cls, system: System) -> "SystemNetwork":
         """The network of a system."""
         separation = system.separation
         entries = tuple(

@@ -4,15 +4,16 @@ Equations of mechanical systems come from Lagrange or from SymPy's mechanics.
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from sympy import Eq, Heaviside, Integer, Rational, lambdify, sign, solve, sympify
 
+from .._environment import array_namespace
 from ._description import (
     Constant,
     DescriptionError,
@@ -124,6 +125,54 @@ def mechanics_equations(method: Any) -> dict[str, Any]:
         inertia = sum(mass[row, j].subs(replaced) * accelerations[j] for j in range(len(speeds)))
         equations[name_of(q)] = Eq(0, inertia - forcing[row].subs(replaced), evaluate=False)
     return equations
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Formulas:
+    """SymPy expressions of motion and searched constants as one function, of NumPy or JAX.
+
+    **Attributes**
+
+    - `symbols`: (variable, order) of each motion symbol that occurs.
+    - `expressions`: to be evaluated.
+    - `arguments`: the symbols themselves, then those of searched constants.
+    """
+
+    symbols: tuple[tuple[int, int], ...]
+    expressions: tuple[Any, ...]
+    arguments: tuple[Any, ...]
+
+    @classmethod
+    def of(cls, system: "System", expressions: Sequence[Any]) -> "Formulas":
+        """Return the formulas of expressions in the symbols of a system."""
+        used = {symbol for expression in expressions for symbol in expression.free_symbols}
+        symbols = {key: x for key, x in system.symbols.motion.items() if x in used}
+        searched = (system.symbols.constants[constant.name] for constant in system.nonlinear)
+        return cls(tuple(symbols), tuple(expressions), (*symbols.values(), *searched))
+
+    @cached_property
+    def _jax(self) -> Callable[..., Any]:
+        return lambdify(self.arguments, list(self.expressions), modules="jax", cse=True)
+
+    @cached_property
+    def _numpy(self) -> Callable[..., Any]:
+        return lambdify(self.arguments, list(self.expressions), modules="numpy", cse=True)
+
+    def __call__(
+        self,
+        motion: Sequence[Float[Array | np.ndarray, "*batch variables"]],
+        nonlinear: Sequence[Any] | Float[Array | np.ndarray, " nonlinear"],
+    ) -> list[Float[Array | np.ndarray, "*batch"]]:
+        """Evaluate the expressions: one array each.
+
+        - `motion`: values, first and second derivatives of the variables.
+        """
+        xp = array_namespace(*motion)
+        function = self._numpy if xp is np else self._jax
+        arguments = [motion[order][..., variable] for variable, order in self.symbols]
+        dtype, shape = motion[0].dtype, motion[0].shape[:-1]
+        values = function(*arguments, *(xp.asarray(x, dtype) for x in nonlinear))
+        return [xp.broadcast_to(xp.asarray(value, dtype), shape) for value in values]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -311,15 +360,9 @@ class System:
 
         Searched constants are taken at the middle of their bounds.
         """
-        constants = (self.symbols.constants[constant.name] for constant in self.nonlinear)
-        middles = dict(zip(constants, self.middles, strict=True))
-        symbols = list(self.symbols.motion.values())
-        function = lambdify(symbols, [x.subs(middles) for x in expressions], modules="numpy")
-        motion = (q, qd, qdd)
-        arguments = [motion[order][:, index] for index, order in self.symbols.motion]
         with np.errstate(all="ignore"):
-            values = function(*arguments)
-        return np.stack([np.broadcast_to(np.asarray(x, float), len(q)) for x in values], axis=1)
+            values = Formulas.of(self, expressions)((q, qd, qdd), self.middles)
+        return np.stack(values, axis=1)
 
     def with_values(self, values: Mapping[str, float]) -> "System":
         """The system with values of some constants.
