@@ -1,7 +1,7 @@
 """Constants of a system as they follow from coefficients: which do, and their values."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -9,19 +9,21 @@ from jaxtyping import Float
 from sympy import lambdify
 
 from .._rank import numerical_rank, pseudo_inverse
-from ..derivation import Coefficient
 from ..least_squares import Identification
 
 
 if TYPE_CHECKING:
+    from ._separation import Separation
     from ._system import System
 
 
 Verdict = Literal["alone", "only in combinations", "not at all"]
 
 
-COMPLEX_STEP = 1e-30
-"""Of derivatives in the complex plane: analytic functions to rounding."""
+# Of derivatives in the complex plane: so small that its square is nothing beside 1.
+_COMPLEX_STEP = 1e-30
+# The search for constants ends when a step changes them by less than this part.
+_PRECISION = 1e-12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,43 +56,41 @@ class ConstantIdentifiability:
         return f"constant {self.constant!r}: {self.verdict}, {listed}"
 
 
-def identifiability_of(
-    symbols: Mapping[str, Any],
-    formulas: Sequence[Any],
-    coefficients: Sequence[Coefficient],
-) -> tuple[ConstantIdentifiability, ...]:
+def identifiability_of(separation: "Separation") -> tuple[ConstantIdentifiability, ...]:
     """Determine the identifiability of each unknown constant.
 
-    It follows from the derivatives of the coefficients at one random set of values.
-
-    A constant can be computed from the coefficients near almost every set of values if its unit
-    vector is a combination of their gradients.
+    It follows from the derivatives of the coefficients at one random set of values: a constant can
+    be computed from the coefficients near almost every set of values if its unit vector is a
+    combination of their gradients.
     """
-    names = list(symbols)
-    draw = np.random.default_rng(0)
-    point = np.array(
-        [draw.uniform(0.5, 1.5) * (-1 if symbols[name].is_negative else 1) for name in names]
-    )
-    function = lambdify(list(symbols.values()), list(formulas), modules="numpy", cse=True)
-    # Complex steps: derivatives of analytic functions to rounding, without their expressions.
-    steps = point[:, None] + 1j * COMPLEX_STEP * np.eye(len(names))
-    values = [np.broadcast_to(value, len(names)) for value in function(*steps)]
-    gradient = np.imag(np.array(values, complex)) / COMPLEX_STEP
+    symbols, draw = separation.symbols, np.random.default_rng(0)
+    signs = [-1 if symbol.is_negative else 1 for symbol in symbols.values()]
+    point = np.array([draw.uniform(0.5, 1.5) * sign for sign in signs])
+    gradient = _gradient(separation, point)
     rank = numerical_rank(gradient.T)
     rows: list[ConstantIdentifiability] = []
-    for index, name in enumerate(names):
+    for name, symbol, unit in zip(symbols, symbols.values(), np.eye(len(symbols)), strict=True):
         part_of = tuple(
             coefficient.name
-            for coefficient, formula in zip(coefficients, formulas, strict=True)
-            if symbols[name] in formula.free_symbols
+            for coefficient, formula in zip(
+                separation.coefficients, separation.formulas, strict=True
+            )
+            if symbol in formula.free_symbols
         )
         verdict: Verdict = "not at all"
         if part_of:
-            with_unit = np.vstack([gradient, np.eye(len(names))[index]])
-            alone = numerical_rank(with_unit.T) == rank
+            alone = numerical_rank(np.vstack([gradient, unit]).T) == rank
             verdict = "alone" if alone else "only in combinations"
         rows.append(ConstantIdentifiability(name, verdict, part_of))
     return tuple(rows)
+
+
+def _gradient(
+    separation: "Separation", values: Float[np.ndarray, " constants"]
+) -> Float[np.ndarray, "coefficients constants"]:
+    """Return the derivatives of the coefficients, by complex steps: exact to rounding."""
+    steps = values[:, None] + 1j * _COMPLEX_STEP * np.eye(len(values))
+    return np.imag(separation.evaluate(steps)) / _COMPLEX_STEP
 
 
 def independent(system: "System", regressor: Sequence[Sequence[Any]]) -> bool:
@@ -118,10 +118,6 @@ def independent(system: "System", regressor: Sequence[Sequence[Any]]) -> bool:
     finite = np.all(np.isfinite(rows), axis=1)
     real = np.all(np.abs(np.imag(rows)) <= 1e-12 * np.abs(rows), axis=1)
     return numerical_rank(np.real(rows[finite & real])) == size
-
-
-# The search for constants ends when a step changes them by less than this part.
-_PRECISION = 1e-12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -186,52 +182,35 @@ def constants_from(system: "System", fit: Identification) -> tuple[ConstantEstim
     alone = [row.constant for row in separation.identifiability if row.verdict == "alone"]
     if not alone or not np.all(np.asarray(fit.determined)):
         return ()
-    names = list(separation.symbols)
+    symbols = separation.symbols.values()
+    negative = np.array([bool(symbol.is_negative) for symbol in symbols])
+    positive = np.array([bool(symbol.is_positive) for symbol in symbols])
     k, error = np.asarray(fit.k), np.asarray(fit.standard_error)
     # Coefficients that were met exactly count like the others, by their size.
     weight = 1.0 / np.maximum(error, 1e-9 * np.maximum(np.abs(k), np.max(np.abs(k)) * 1e-9))
-    signs = np.array([-1.0 if separation.symbols[name].is_negative else 1.0 for name in names])
-    known_sign = np.array(
-        [bool(s.is_negative or s.is_positive) for s in separation.symbols.values()]
-    )
-
-    def residual(values: Float[np.ndarray, " constants"]) -> Float[np.ndarray, " coefficients"]:
-        return weight * (np.real(separation.evaluate(values)) - k)
-
-    def gradient(
-        values: Float[np.ndarray, " constants"],
-    ) -> Float[np.ndarray, "coefficients constants"]:
-        steps = values[:, None] + 1j * COMPLEX_STEP * np.eye(len(values))
-        return weight[:, None] * np.imag(separation.evaluate(steps)) / COMPLEX_STEP
-
-    bounds = (
-        np.where(known_sign & (signs > 0), 0.0, -np.inf),
-        np.where(known_sign & (signs < 0), 0.0, np.inf),
-    )
-    best = None
-    for size in (1.0, 0.1, 10.0):
-        solution = least_squares(
-            residual,
-            size * signs,
-            jac=gradient,
-            bounds=bounds,
+    searches = (
+        least_squares(
+            lambda values: weight * (np.real(separation.evaluate(values)) - k),
+            size * np.where(negative, -1.0, 1.0),
+            jac=lambda values: weight[:, None] * _gradient(separation, values),
+            bounds=(np.where(positive, 0.0, -np.inf), np.where(negative, 0.0, np.inf)),
             x_scale="jac",
             xtol=_PRECISION,
             ftol=_PRECISION,
             gtol=_PRECISION,
         )
-        if best is None or solution.cost < best.cost:
-            best = solution
-    assert best is not None
+        for size in (1.0, 0.1, 10.0)
+    )
+    best = min(searches, key=lambda search: search.cost)
     # Of exact coefficients a thousandth must be met: of others, what their errors explain.
     misfit = np.abs(np.real(separation.evaluate(best.x)) - k)
     if np.any(misfit > np.maximum(10.0 * error, 1e-3 * np.abs(k))):
         return ()
-    inverse = pseudo_inverse(gradient(best.x)) * weight[None, :]
+    inverse = pseudo_inverse(weight[:, None] * _gradient(separation, best.x)) * weight[None, :]
     covariance = inverse @ np.asarray(fit.covariance) @ inverse.T
     units = {constant.name: constant.unit for constant in system.unknown}
     return tuple(
         ConstantEstimate(name, units[name], float(best.x[i]), float(np.sqrt(covariance[i, i])))
-        for i, name in enumerate(names)
+        for i, name in enumerate(separation.symbols)
         if name in alone
     )

@@ -166,7 +166,6 @@ class Separation:
       by their index in `k`, counted from 1.
     - `regressor`: for each equation and coefficient the SymPy expression that multiplies it.
     - `known`: for each equation what multiplies no unknown constant.
-    - `identifiability`: of each unknown constant.
     - `notes`: what was done to equations, a sentence each.
 
     >>> import sympy
@@ -192,7 +191,6 @@ class Separation:
     regressor: tuple[tuple[Any, ...], ...]
     known: tuple[Any, ...]
     order_per_output: tuple[int, ...]
-    identifiability: tuple[ConstantIdentifiability, ...]
     notes: tuple[str, ...]
     formulas: tuple[Any, ...]
     symbols: Mapping[str, Any]
@@ -201,6 +199,11 @@ class Separation:
     def names(self) -> tuple[str, ...]:
         """Names of the coefficients."""
         return tuple(coefficient.name for coefficient in self.coefficients)
+
+    @cached_property
+    def identifiability(self) -> tuple[ConstantIdentifiability, ...]:
+        """The identifiability of each unknown constant."""
+        return identifiability_of(self)
 
     def values(self, constants: Mapping[str, float]) -> Float[np.ndarray, " coefficients"]:
         """The coefficients of a system whose constants are known.
@@ -331,7 +334,6 @@ def _separated(system: "System", largest_multiple: int) -> Separation:
         ),
         known=tuple(map(field.quotient, known, divisors)),
         order_per_output=tuple(fmpq_mat(rows).rank() if rows else 0 for rows in combinations),
-        identifiability=identifiability_of(unknown, formulas, coefficients),
         notes=tuple(notes),
         formulas=formulas,
         symbols=unknown,

@@ -3,6 +3,7 @@
 import ast
 import keyword
 import math
+import operator
 import os
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
@@ -32,17 +33,17 @@ _LONGEST = 80  # of a formula in a message
 RESERVED = ("pi", "min", "max", "where", *_RATES, *_FUNCTIONS)
 """Names that formulas give a meaning."""
 _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
-    ast.Add: lambda x, y: x + y,
-    ast.Sub: lambda x, y: x - y,
-    ast.Mult: lambda x, y: x * y,
-    ast.Div: lambda x, y: x / y,
-    ast.Pow: lambda x, y: x**y,
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
 }
 _COMPARISONS: dict[type, Callable[[Any, Any], Any]] = {
-    ast.Lt: lambda x, y: x < y,
-    ast.LtE: lambda x, y: x <= y,
-    ast.Gt: lambda x, y: x > y,
-    ast.GtE: lambda x, y: x >= y,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
 }
 
 
@@ -109,12 +110,12 @@ class _Reader:
                 return -self._number(operand)
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self._number(operand)
-            case ast.BinOp(left=left, op=operator, right=right) if type(operator) in _OPERATORS:
-                return _OPERATORS[type(operator)](self._number(left), self._number(right))
-            case ast.Compare(left=left, ops=[operator], comparators=[right]) if (
-                type(operator) in _COMPARISONS
+            case ast.BinOp(left=left, op=sign, right=right) if type(sign) in _OPERATORS:
+                return _OPERATORS[type(sign)](self._number(left), self._number(right))
+            case ast.Compare(left=left, ops=[sign], comparators=[right]) if (
+                type(sign) in _COMPARISONS
             ):
-                return _COMPARISONS[type(operator)](self.read(left), self.read(right))
+                return _COMPARISONS[type(sign)](self.read(left), self.read(right))
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 return self._called(name, arguments)
             case _:
@@ -182,7 +183,6 @@ class _Reader:
 _KEYS = {"name", "about", "variables", "constants", "equations", "units"}
 _VARIABLE_KEYS = {"unit", "column", "rate", "second_rate", "kind"}
 _CONSTANT_KEYS = {"unit", "value", "sign", "bounds"}
-_TEXTS = {"unit", "column", "rate", "second_rate", "kind", "sign"}
 
 
 def load_system(path: str | os.PathLike[str]) -> System:
@@ -271,25 +271,23 @@ def _entry(name: str, entry: Any, keys: Collection[str]) -> dict[str, Any]:
     if not isinstance(entry, Mapping):
         raise DescriptionError(f'{name!r} is {entry!r}; expected a table, as in {{ unit = "m" }}')
     _check_keys(entry, keys, repr(name))
-    values: dict[str, Any] = {}
     for key, value in entry.items():
-        if key in _TEXTS:
-            right = isinstance(value, str)
-        elif key == "bounds":
-            right = isinstance(value, list) and len(value) == 2 and all(map(_is_number, value))
-        else:
-            right = _is_number(value)
-        if not right:
-            expected = (
-                "a text" if key in _TEXTS else "[LOW, HIGH]" if key == "bounds" else "a number"
-            )
+        expected, is_right = _VALUES.get(key, ("a text", lambda x: isinstance(x, str)))
+        if not is_right(value):
             raise DescriptionError(f"{name!r}: {key} is {value!r}; expected {expected}")
-        values[key] = tuple(map(float, value)) if key == "bounds" else value
-    return values
+    return {key: tuple(map(float, x)) if key == "bounds" else x for key, x in entry.items()}
 
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(map(_is_number, value))
+
+
+# What entries are that are not texts.
+_VALUES = {"value": ("a number", _is_number), "bounds": ("[LOW, HIGH]", _is_pair)}
 
 
 def _identifier(name: str) -> str:
