@@ -135,44 +135,23 @@ def product(matrix: Matrix, x: Vector) -> Vector:
     return dot(matrix[0], x), dot(matrix[1], x), dot(matrix[2], x)
 
 
-def rotate_x(x: Vector, rotation: Rotation) -> Vector:
-    """Rot(x, angle) times a vector."""
-    c, s = rotation
-    return (
-        x[0],
-        plus(times(c, x[1]), minus(times(s, x[2]))),
-        plus(times(s, x[1]), times(c, x[2])),
-    )
+_PLANES = {"x": (1, 2), "z": (0, 1)}  # that rotations about an axis turn, and in which direction
 
 
-def rotate_z(x: Vector, rotation: Rotation) -> Vector:
-    """Rot(z, angle) times a vector."""
-    c, s = rotation
-    return (
-        plus(times(c, x[0]), minus(times(s, x[1]))),
-        plus(times(s, x[0]), times(c, x[1])),
-        x[2],
-    )
+def rotate(axis: str, x: Vector, rotation: Rotation) -> Vector:
+    """Rot(axis, angle) times a vector."""
+    (i, j), (c, s), turned = _PLANES[axis], rotation, list(x)
+    turned[i] = plus(times(c, x[i]), minus(times(s, x[j])))
+    turned[j] = plus(times(s, x[i]), times(c, x[j]))
+    return turned[0], turned[1], turned[2]
 
 
-def unrotate_x(x: Vector, rotation: Rotation) -> Vector:
-    """Rot(x, -angle) times a vector: its components in axes that are rotated by the angle."""
-    c, s = rotation
-    return (
-        x[0],
-        plus(times(c, x[1]), times(s, x[2])),
-        plus(times(c, x[2]), minus(times(s, x[1]))),
-    )
-
-
-def unrotate_z(x: Vector, rotation: Rotation, reduce: Reduce = unchanged) -> Vector:
-    """Rot(z, -angle) times a vector: its components in axes that are rotated by the angle."""
-    c, s = rotation
-    return (
-        reduce(plus(times(c, x[0]), times(s, x[1]))),
-        reduce(plus(times(c, x[1]), minus(times(s, x[0])))),
-        x[2],
-    )
+def unrotate(axis: str, x: Vector, rotation: Rotation, reduce: Reduce = unchanged) -> Vector:
+    """Rot(axis, -angle) times a vector: its components in axes that are rotated by the angle."""
+    (i, j), (c, s), turned = _PLANES[axis], rotation, list(x)
+    turned[i] = reduce(plus(times(c, x[i]), times(s, x[j])))
+    turned[j] = reduce(plus(times(c, x[j]), minus(times(s, x[i]))))
+    return turned[0], turned[1], turned[2]
 
 
 def compose(first: Rotation, second: Rotation, sign: int = 1) -> Rotation:
@@ -372,9 +351,9 @@ def link_twists(
                 plus(times(cos_twist, d[i]), b[i]),
             )
             linear = _moved(angular, linear, step, reduce)
-            angular = [unrotate_x(w, link.twist) for w in angular]
-            linear = [unrotate_x(v, link.twist) for v in linear]
-            weight = unrotate_x(weight, link.twist)
+            angular = [unrotate("x", w, link.twist) for w in angular]
+            linear = [unrotate("x", v, link.twist) for v in linear]
+            weight = unrotate("x", weight, link.twist)
         if link.angle is None:
             turn = link.offset
         else:
@@ -406,5 +385,5 @@ def _into_frame(x: Vector, turn: Rotation, side: int, reduce: Reduce) -> Vector:
 
     This is Rot(z, -angle), then a flip.
     """
-    along, across, axial = unrotate_z(x, turn, reduce)
+    along, across, axial = unrotate("z", x, turn, reduce)
     return (along, across, axial) if side > 0 else (along, minus(across), minus(axial))

@@ -18,11 +18,9 @@ from ._chain import (
     cross,
     dot,
     product,
-    rotate_x,
-    rotate_z,
+    rotate,
     scale,
-    unrotate_x,
-    unrotate_z,
+    unrotate,
 )
 
 
@@ -50,11 +48,11 @@ class LinkFrame:
 
     def inwards(self, x: Vector) -> Vector:
         """A vector's components in the parent's axes, from those in the link's."""
-        return rotate_z(rotate_x(rotate_z(x, self.joint), self.twist), self.branch)
+        return rotate("z", rotate("x", rotate("z", x, self.joint), self.twist), self.branch)
 
     def outwards(self, x: Vector) -> Vector:
         """A vector's components in the link's axes, from those in the parent's."""
-        return unrotate_z(unrotate_x(unrotate_z(x, self.branch), self.twist), self.joint)
+        return unrotate("z", unrotate("x", unrotate("z", x, self.branch), self.twist), self.joint)
 
     def along(self, force: Vector, moment: Vector) -> Any:
         """The part of a wrench that the joint's motor bears."""
@@ -85,8 +83,8 @@ def link_frames(
     """
     frames: list[LinkFrame] = []
     for link, rotation, x, z, base in zip(chain.links, rotations, a, d, b, strict=True):
-        twisted = rotate_x((0, 0, z), link.twist)
-        step = rotate_z(add((x, 0, 0), twisted), link.branch)
+        twisted = rotate("x", (0, 0, z), link.twist)
+        step = rotate("z", add((x, 0, 0), twisted), link.branch)
         frames.append(
             LinkFrame(
                 link.parent,

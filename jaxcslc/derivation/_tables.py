@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
+from flint import fmpq, fmpq_mat
+
 from ..manipulator import RobotError, Subnumbering
 from ._lagrange import Element, InertialTerm
 from ._polynomials import Monomial, PositionRing, product_text
@@ -254,21 +256,13 @@ def _add(form: dict[tuple[str, str], Fraction], a: str, b: str, value: Fraction)
 
 
 def _positive_semidefinite(form: dict[tuple[str, str], Fraction]) -> bool:
-    """Return whether a form is positive semidefinite, by symmetric elimination.
+    """Return whether a form is positive semidefinite.
 
-    A negative pivot, or a zero one in a row that is not zero, decides.
+    Its eigenvalues are real. By Descartes' rule of signs none is negative if, and only if, the
+    coefficients of the characteristic polynomial alternate in sign.
     """
     names = sorted({name for key in form for name in key})
-    rows = [[form.get((a, b), Fraction(0)) for b in names] for a in names]
-    while rows:
-        pivot, remaining_rows = rows[0], rows[1:]
-        if pivot[0] < 0 or (pivot[0] == 0 and any(pivot)):
-            return False
-        rows = [
-            [
-                value - row[0] * other / pivot[0] if pivot[0] else value
-                for value, other in zip(row[1:], pivot[1:], strict=True)
-            ]
-            for row in remaining_rows
-        ]
-    return True
+    entries = [[form.get((a, b), Fraction(0)) for b in names] for a in names]
+    matrix = fmpq_mat([[fmpq(x.numerator, x.denominator) for x in row] for row in entries])
+    coefficients = matrix.charpoly().coeffs()
+    return all(x * (-1) ** (len(names) - power) >= 0 for power, x in enumerate(coefficients))
