@@ -25,7 +25,6 @@ from ._lagrange import (
     gravity_vector,
     inertial_terms,
     mass_matrix,
-    unit_inertia,
 )
 from ._polynomials import PositionRing
 from ._tables import (
@@ -120,7 +119,7 @@ class Algebra:
         matrices: k = L θ with L in reduced echelon form, so selecting the columns of these terms is
         a right inverse of L.)
         """
-        return tuple(unit_inertia(self.terms[index]) for index in self.base_terms)
+        return tuple(self.terms[index].unit_inertia for index in self.base_terms)
 
     @property
     def mass(self) -> ProductTable:
@@ -150,10 +149,8 @@ def derive_algebra(robot: Manipulator, lengths: Lengths) -> Algebra:
       of names keeps these lengths, and gravity, as symbols and puts the values of the others in
       (thesis 8.2.1): mass and gravity stay apart.
 
-    **Raises**
-
-    - `RobotError`: if a length that is to be a number has no value, if a name is no length of the
-      robot, or if a published numbering does not fit.
+    **Raises** `RobotError` if a length that is to be a number has no value, if a name is no length
+    of the robot, or if a published numbering does not fit.
 
     >>> from jaxcslc.manipulator import Manipulator
     >>> pendulum = Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))

@@ -320,9 +320,7 @@ def link_twists(
     - `gravity`: gravity vector in the base frame.
     - `reduce`: brings a product of polynomials into normal form.
 
-    **Returns**
-
-    - One `LinkTwists` a link.
+    **Returns** one `LinkTwists` a link.
     """
     # For every link: Jacobian columns and gravity in the axes of its group of parallel axes, and
     # the rotation from there about the common axis.

@@ -27,6 +27,21 @@ _FIRST_MOMENTS = BODY[6:9]
 _CENTRE = ("rx", "ry", "rz")
 
 
+class UnitInertia(NamedTuple):
+    """Inertia of a robot with one base parameter of 1 and all others zero.
+
+    **Attributes**
+
+    - `link`: index of the link that has inertia.
+    - `body`: its ten numbers, in the order of `BODY`; zeros for a motor.
+    - `motor`: inertia that the link's joint adds to its own, 1 or 0.
+    """
+
+    link: int
+    body: tuple[int | float, ...]
+    motor: int
+
+
 @dataclass(frozen=True)
 class InertialTerm:
     """Product of a link's physical parameters, and its place in the link's inertia.
@@ -54,28 +69,13 @@ class InertialTerm:
         factors = ("Im" if factor == "motor" else factor for factor in self.factors)
         return product_text(Counter(f"{factor}{self.link + 1}" for factor in factors).items())
 
-
-class UnitInertia(NamedTuple):
-    """Inertia of a robot with one base parameter of 1 and all others zero.
-
-    **Attributes**
-
-    - `link`: index of the link that has inertia.
-    - `body`: its ten numbers, in the order of `BODY`; zeros for a motor.
-    - `motor`: inertia that the link's joint adds to its own, 1 or 0.
-    """
-
-    link: int
-    body: tuple[int | float, ...]
-    motor: int
-
-
-def unit_inertia(term: InertialTerm) -> UnitInertia:
-    """The inertia of a link of which one term is 1 and all others are zero."""
-    multiples = dict(term.body)
-    numbers = (multiples.get(entry, 0) for entry in BODY)
-    body = tuple(float(x) if isinstance(x, Fraction) else x for x in numbers)
-    return UnitInertia(term.link, body, int(term.factors == ("motor",)))
+    @property
+    def unit_inertia(self) -> UnitInertia:
+        """Inertia of the link if this term is 1 and all others are zero."""
+        multiples = dict(self.body)
+        numbers = (multiples.get(entry, 0) for entry in BODY)
+        body = tuple(float(x) if isinstance(x, Fraction) else x for x in numbers)
+        return UnitInertia(self.link, body, int(self.factors == ("motor",)))
 
 
 def inertial_terms(robot: Manipulator) -> tuple[InertialTerm, ...]:

@@ -159,9 +159,7 @@ def table(
     Inputs are numbered as they are met, column by column, simple ones first; or as `published`
     lists them.
 
-    **Raises**
-
-    - `RobotError`: if the published inputs are not exactly those of the algebra.
+    **Raises** `RobotError` if the published inputs are not exactly those of the algebra.
     """
     inputs: dict[Monomial, int] = {}
     if published is not None and published.inputs:

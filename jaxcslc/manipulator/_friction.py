@@ -50,9 +50,7 @@ class Coupling(NamedTuple):
 def check_friction(terms: Sequence[str], where: str) -> None:
     """Check the kinds of a friction model.
 
-    **Raises**
-
-    - `RobotError`: for kinds that are unknown, listed twice or collinear.
+    **Raises** `RobotError` for kinds that are unknown, listed twice or collinear.
     """
     if unknown := [term for term in terms if term not in FRICTION_TERMS]:
         raise RobotError(
@@ -69,9 +67,7 @@ def check_friction(terms: Sequence[str], where: str) -> None:
 def check_slopes(slopes: Sequence[float], where: str) -> None:
     """Check slopes of static friction, one a joint.
 
-    **Raises**
-
-    - `RobotError`: for one that is not positive and finite.
+    **Raises** `RobotError` for one that is not positive and finite.
     """
     for i, slope in enumerate(slopes, start=1):
         if not 0 < slope < float("inf"):
@@ -83,9 +79,7 @@ def check_slopes(slopes: Sequence[float], where: str) -> None:
 def couplings(pairs: Sequence[Sequence[Any]], kinds: str, where: str) -> tuple[Coupling, ...]:
     """Pairs of joints, counted from 1, with or without a ratio.
 
-    **Raises**
-
-    - `RobotError`: for anything but two different joints of one kind, once.
+    **Raises** `RobotError` for anything but two different joints of one kind, once.
     """
     checked: list[Coupling] = []
     for pair in pairs:

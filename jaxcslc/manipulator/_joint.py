@@ -99,10 +99,8 @@ class Joint:
 def parse_angle(value: object, where: str) -> float:
     """An angle [rad] from a number or from a multiple of pi as text, as in `"-pi/2"`.
 
-    **Raises**
-
-    - `RobotError`: if `value` is neither, or an angle of more than two turns, as one in degrees;
-      `where` says which entry it was.
+    **Raises** `RobotError` if `value` is neither, or an angle of more than two turns, as one in
+    degrees; `where` says which entry it was.
 
     >>> parse_angle("-pi/2", "alpha of joint 2")
     -1.5707963267948966
@@ -137,9 +135,7 @@ def parse_length(value: object, lengths: dict[str, float], where: str) -> Length
 
     A symbol is letters followed by an optional number, as in `a2`.
 
-    **Raises**
-
-    - `RobotError`: if `value` is neither; `where` says which entry it was.
+    **Raises** `RobotError` if `value` is neither; `where` says which entry it was.
 
     >>> parse_length("a2", {"a2": 0.4318}, "a of joint 3")
     Length(value=0.4318, symbol='a2')
@@ -169,9 +165,7 @@ def finite_number(value: object) -> float | None:
 def length_table(values: Mapping[str, object], where: str) -> dict[str, float]:
     """Named lengths and their values [m], checked.
 
-    **Raises**
-
-    - `RobotError`: naming the length.
+    **Raises** `RobotError`, naming the length.
     """
     table: dict[str, float] = {}
     for symbol, value in values.items():
@@ -191,9 +185,7 @@ def length_table(values: Mapping[str, object], where: str) -> dict[str, float]:
 def unused_lengths(values: Mapping[str, float], joints: Iterable[Joint], where: str) -> None:
     """Check that joints use all named lengths.
 
-    **Raises**
-
-    - `RobotError`: if a named length is not used by any joint.
+    **Raises** `RobotError` if a named length is not used by any joint.
     """
     used = {length.symbol for joint in joints for _, _, length in joint.lengths}
     if unused := sorted(set(values) - used):
@@ -203,9 +195,7 @@ def unused_lengths(values: Mapping[str, float], joints: Iterable[Joint], where: 
 def parsed_joint(entries: Mapping[str, Any], lengths: dict[str, float], where: str) -> Joint:
     """Return the joint of a row's entries: kind, parent, and parameters, zero where left out.
 
-    **Raises**
-
-    - `RobotError`: naming the entry that is wrong.
+    **Raises** `RobotError`, naming the entry that is wrong.
     """
     kind, parent = entries.get("kind", "R"), entries.get("parent")
     if kind not in ("R", "P"):
@@ -236,9 +226,7 @@ def modified_dh_joints(
     - `rows`, `parents`, `kinds`, `lengths`: as of `Manipulator.from_modified_dh`.
     - `where`: what messages name, as in `"robot 'arm'"`.
 
-    **Raises**
-
-    - `RobotError`: naming the joint and the entry that is wrong.
+    **Raises** `RobotError`, naming the joint and the entry that is wrong.
     """
     kinds = "R" * len(rows) if kinds is None else kinds
     if len(kinds) != len(rows) or set(kinds) - {"R", "P"}:

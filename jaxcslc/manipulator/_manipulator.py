@@ -298,9 +298,7 @@ class Manipulator:
         - `friction`: terms of the friction model, see `Manipulator`.
         - `lengths`: values of named lengths [m].
 
-        **Raises**
-
-        - `RobotError`: naming the joint and the entry that is wrong.
+        **Raises** `RobotError`, naming the joint and the entry that is wrong.
 
         >>> planar = Manipulator.from_modified_dh(
         ...     [(0, 0, 0, 0), (0, "a1", 0, 0)], gravity=(0, -9.81, 0), lengths={"a1": 0.5}
@@ -472,9 +470,7 @@ class Manipulator:
         Lengths given as plain numbers are named by the thesis's convention: a of row i is
         a(i-1), d of row i is d(i).
 
-        **Raises**
-
-        - `RobotError`: if a named length has no value.
+        **Raises** `RobotError` if a named length has no value.
         """
         values: dict[str, float] = {}
         for symbol, length in self.named_lengths().items():

@@ -149,11 +149,9 @@ def correct_for_noise(
 
     **Returns** a `NoiseCorrection`.
 
-    **Raises**
-
-    - `ValueError`: constants that are searched, noise of no column or below zero, fewer than two
-      draws, fewer than one pair, or more pairs than draws; or noise that takes the recording out of
-      what the equations allow, as a root of a level near zero.
+    **Raises** `ValueError`: constants that are searched, noise of no column or below zero, fewer
+    than two draws, fewer than one pair, or more pairs than draws; or noise that takes the recording
+    out of what the equations allow, as a root of a level near zero.
 
     >>> import numpy as np, sympy, jaxcslc as jc
     >>> from jaxcslc.systems import Constant, System, SystemRecording, Variable

@@ -277,9 +277,7 @@ def load_system_report(path: str | Path) -> SystemReport:
 
     - `path`: of the report's folder, or of its `identification.json`.
 
-    **Raises**
-
-    - `ValueError`: there is no such file, or it holds something else.
+    **Raises** `ValueError`: there is no such file, or it holds something else.
 
     >>> import tempfile, jaxcslc as jc
     >>> from jaxcslc.systems import load_system_report

@@ -148,4 +148,3 @@ def test_the_parts_agree(robot: jc.Manipulator) -> None:
         for row, offset in zip(mass, bias, strict=True)
     ]
     assert recursion.torque(bodies, motors, state.qd, state.qdd) == moved
-    assert recursion.torque(bodies, motors, still, still) == recursion.gravity_torque(bodies)

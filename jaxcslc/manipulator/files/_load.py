@@ -281,10 +281,8 @@ def part_of(
     A joint that mimics a fixed one is fixed too. `mimic` says what becomes of others that mimic:
     they are an error, or fixed with what they follow (`"fix"`), or kept (`"couple"`).
 
-    **Raises**
-
-    - `RobotError`: for names that are not in the file, joints of kinds that are not modelled,
-      joints that mimic, and closed loops.
+    **Raises** `RobotError` for names that are not in the file, joints of kinds that are not
+    modelled, joints that mimic, and closed loops.
     """
     names = [body.name for body in tree.bodies]
 

@@ -46,10 +46,8 @@ _LINK_KEYS = {
 def read_toml(path: Path) -> Manipulator:
     """A robot from its TOML description; the format is documented in `docs/robots.md`.
 
-    **Raises**
-
-    - `RobotError`: one line that names the file, the joint and the key that is missing, unknown
-      or contradictory, and what was expected.
+    **Raises** `RobotError`: one line that names the file, the joint and the key that is missing,
+    unknown or contradictory, and what was expected.
     """
     document = toml_document(path, "robot file", RobotError)
     robot = _robot(document, str(path))
@@ -236,9 +234,7 @@ def _motor_inertia(link: Mapping[str, Any], at: str) -> float:
 def _agrees(link: LinkParameters, inertia: LinkInertia, at: str) -> None:
     """Check that a link's values have the zeros and equal moments that it lists.
 
-    **Raises**
-
-    - `RobotError`: where values contradict `zero` and `equal`.
+    **Raises** `RobotError` where values contradict `zero` and `equal`.
     """
     principal = inertia.form == "principal"
     tensor = np.asarray(link.inertia if principal else link.inertia_at_frame)

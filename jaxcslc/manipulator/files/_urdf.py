@@ -51,9 +51,7 @@ def read_xml(path: Path) -> Element:
     No document type and no entities, internal or external, and neither more elements nor deeper
     ones than a robot can have.
 
-    **Raises**
-
-    - `RobotError`: in one line, naming file and line.
+    **Raises** `RobotError`, in one line, naming file and line.
     """
     try:
         return parse_xml(path.read_bytes(), str(path))
@@ -144,10 +142,8 @@ _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 def check_urdf(root: Element, path: Path) -> None:
     """Check that a URDF's links and joints are one tree.
 
-    **Raises**
-
-    - `RobotError`: for cycles, loops, several trees, names that are missing or used twice, and
-      macros of xacro.
+    **Raises** `RobotError` for cycles, loops, several trees, names that are missing or used twice,
+    and macros of xacro.
     """
     _check_no_macros(root, path)
     links = _named(root.all("link"), path)
@@ -222,10 +218,8 @@ def _check_no_macros(root: Element, path: Path) -> None:
 def urdf_mimics(root: Element, path: Path) -> list[Mimic]:
     """Return the laws by which joints of a URDF follow others.
 
-    **Raises**
-
-    - `RobotError`: for one that mimics itself, over others or not, and for a multiplier or offset
-      that is no finite number.
+    **Raises** `RobotError` for one that mimics itself, over others or not, and for a multiplier or
+    offset that is no finite number.
     """
     laws: dict[str, Mimic] = {}
     for joint in root.all("joint"):
