@@ -56,7 +56,7 @@ class ConstantIdentifiability:
         return f"constant {self.constant!r}: {self.verdict}, {listed}"
 
 
-def identifiability_of(separation: "Separation") -> tuple[ConstantIdentifiability, ...]:
+def determine_identifiability(separation: "Separation") -> tuple[ConstantIdentifiability, ...]:
     """Determine the identifiability of each unknown constant.
 
     It follows from the derivatives of the coefficients at one random set of values: a constant can

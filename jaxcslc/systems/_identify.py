@@ -69,7 +69,7 @@ def identify_system(
     >>> np.round(report.k, 4).tolist(), report.network.names
     ([3.0, 0.5], ('area', 'outlet'))
     """
-    step = progress or _without_progress
+    step = progress or (lambda words: None)
     step("separating constants")
     network = system.network
     recordings = {"training": training} | ({} if validation is None else {"validation": validation})
@@ -213,7 +213,3 @@ def _warnings(
                 f"{name}: training RMS {rms:.3g}, standard deviation of its known side {size:.3g}:"
                 " the model explains less than half of the variance; check units and signs"
             )
-
-
-def _without_progress(step: str) -> None:
-    del step

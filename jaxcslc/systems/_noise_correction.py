@@ -25,7 +25,7 @@ from ._recording import (
     system_derivatives,
     with_simulated_noise,
 )
-from ._smoothing_bias import REACHES, Motion, SmoothingBias, motion_of, with_motion
+from ._smoothing_bias import REACHES, Motion, SmoothingBias, stacked_motion, with_motion
 from ._system import System
 
 
@@ -326,7 +326,7 @@ class _Simulation:
 
     def refitted(self, recording: SystemRecording) -> Identification:
         """A fit whose errors are the linear part of further noise alone."""
-        motion = motion_of(self.patterns)
+        motion = stacked_motion(self.patterns)
         error = self.odd_error(motion, self.noisy(recording) - motion)
         output = self.system.network.torque(self.k, *motion)
         patterns = dataclasses.replace(self.patterns, torque=np.asarray(output) + error)
@@ -362,7 +362,7 @@ class _Simulation:
         The first `pairs` are fitted with both signs. No more follow if noise is next to nothing of
         the equations' errors: it needs no standard errors of its own.
         """
-        once = motion_of(self.patterns)
+        once = stacked_motion(self.patterns)
         twice = self.again(once)
         before = self.corrected(once, twice)
         left = self.problem.equations.errors(self.k)

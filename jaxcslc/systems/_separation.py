@@ -13,12 +13,12 @@ import numpy as np
 import sympy
 from flint import fmpq, fmpq_mat
 from jaxtyping import Float, Inexact
-from sympy import QQ, Add, Dummy, Mul, Rational, lambdify
+from sympy import QQ, Add, Dummy, Rational, lambdify
 from sympy.polys.fields import field
 
 from .._text_table import text_table
 from ..derivation import Basis, Coefficient, product_text, sum_text
-from ._constants import ConstantIdentifiability, identifiability_of, independent
+from ._constants import ConstantIdentifiability, determine_identifiability, independent
 from ._description import DescriptionError, product_of_units
 from ._generators import Generators
 
@@ -48,6 +48,7 @@ class FractionField:
         self.constants = [x for x in symbols if generators.is_constant(x)]
         self.values = generators.values
         names = [*self.variables, *self.constants] or [Dummy()]  # no ring is without a generator
+        self._expressions = [self.values.get(name, name) for name in names]
         self.field = field(names, QQ)[0]
         self.ring = self.field.ring
         self._relations: list[tuple[int, int, Any]] = []
@@ -92,12 +93,12 @@ class FractionField:
             parts.setdefault(monomial[:split], {})[monomial[split:end]] = coefficient
         return parts
 
-    def of_variables(self, product: Monomial, factor: Any) -> Any:
+    def product(self, product: Monomial, factor: Any) -> Any:
         """Return a product of variables, times a rational, as an element of the ring."""
         monomial = (*product, *(0,) * len(self.constants)) or (0,)
         return self.ring.from_dict({monomial: self._rational(factor)})
 
-    def of_constants(self, form: "Form") -> Any:
+    def polynomial(self, form: "Form") -> Any:
         """Return a polynomial of constants as an element of the ring."""
         none = (0,) * len(self.variables)
         return self.ring.from_dict({(*none, *m): self._rational(x) for m, x in form.items()})
@@ -120,23 +121,16 @@ class FractionField:
             parts[index] *= factor**multiplicity
         return parts[0] * content, parts[1], parts[2]
 
-    def quotient(self, polynomial: Any, divisor: Any) -> Any:
-        """Return a polynomial over another as an expression of the original symbols."""
-        if len(divisor) > 1:
-            return self.expression(polynomial) / self.expression(divisor)
-        ((below, number),) = divisor.items()
-        values = [self.values[x] for x in (*self.variables, *self.constants)]
-        terms: list[Any] = []
-        for monomial, coefficient in polynomial.items():
-            factor = coefficient / number
-            powers = (above - minus for above, minus in zip(monomial, below, strict=True))
-            factors = (x**n for x, n in zip(values, powers, strict=False) if n)
-            terms.append(Mul(Rational(int(factor.numerator), int(factor.denominator)), *factors))
-        return Add(*terms)
-
     def expression(self, polynomial: Any) -> Any:
         """Return a polynomial as an expression of the original symbols."""
-        return self.quotient(polynomial, self.ring.one)
+        return polynomial.as_expr(*self._expressions)
+
+    def quotient(self, polynomial: Any, divisor: Any) -> Any:
+        """Return a polynomial over another as an expression; term by term over a product."""
+        numerator, denominator = self.expression(polynomial), self.expression(divisor)
+        if len(divisor) > 1:
+            return numerator / denominator
+        return Add(*(term / denominator for term in Add.make_args(numerator)))
 
 
 Form = dict[Monomial, Any]
@@ -203,7 +197,7 @@ class Separation:
     @cached_property
     def identifiability(self) -> tuple[ConstantIdentifiability, ...]:
         """The identifiability of each unknown constant."""
-        return identifiability_of(self)
+        return determine_identifiability(self)
 
     def values(self, constants: Mapping[str, float]) -> Float[np.ndarray, " coefficients"]:
         """The coefficients of a system whose constants are known.
@@ -306,7 +300,11 @@ def _separated(system: "System", largest_multiple: int) -> Separation:
     basis = Basis((form for *_, form in rows), lambda form: _text(field, form))
     # A coefficient's first constant counts once, so that numbers stay with the variables; and what
     # signs of constants make negative changes its sign.
-    factors = [_leading(form) * _known_sign(field, form) for form in basis.forms]
+    leading = [form[max(form)] for form in basis.forms]
+    factors = [
+        _sign(field, form) * abs(first) or first
+        for form, first in zip(basis.forms, leading, strict=True)
+    ]
     forms = [
         {key: value / factor for key, value in form.items()}
         for form, factor in zip(basis.forms, factors, strict=True)
@@ -319,8 +317,8 @@ def _separated(system: "System", largest_multiple: int) -> Separation:
         combinations[index].append(combination)
         for j, multiple in enumerate(combination):
             if multiple:
-                entries[index][j] += field.of_variables(product, multiple)
-    formulas = tuple(field.quotient(field.of_constants(form), common) for form in forms)
+                entries[index][j] += field.product(product, multiple)
+    formulas = tuple(field.quotient(field.polynomial(form), common) for form in forms)
     coefficients = tuple(
         _coefficient(system, field, form, formula, index, common)
         for index, (form, formula) in enumerate(zip(forms, formulas, strict=True), start=1)
@@ -381,7 +379,7 @@ def _known_apart(
         known.append(field.ring.zero)
         for product, form in field.parts(numerator).items():
             multiple = form.get(lead, QQ(0)) / unit_form[lead]
-            known[index] += field.of_variables(product, multiple)
+            known[index] += field.product(product, multiple)
             unknown_part = {
                 key: fmpq(-int(value.numerator), int(value.denominator))
                 for key in {**form, **unit_form}
@@ -401,16 +399,6 @@ def _readable(expression: Any) -> Any:
 def _ordered(form: Form) -> list[tuple[Monomial, Any]]:
     """The addends of a form, those of constants that were described first before others."""
     return sorted(form.items(), reverse=True)
-
-
-def _leading(form: Form) -> Any:
-    return _ordered(form)[0][1]
-
-
-def _known_sign(field: FractionField, form: Form) -> int:
-    """-1 for a form that the signs of its constants make negative once its first one counts +1."""
-    positive = 1 if _leading(form) > 0 else -1
-    return -1 if _sign(field, form) * positive == -1 else 1
 
 
 def _sign(field: FractionField, form: Form) -> int:

@@ -26,7 +26,7 @@ Motion = Float[np.ndarray, "3 samples variables"]
 """Values, first and second derivatives of all variables."""
 
 
-def motion_of(patterns: Patterns) -> Motion:
+def stacked_motion(patterns: Patterns) -> Motion:
     """Return the motion of patterns as one array of NumPy's."""
     return np.stack([np.asarray(x) for x in (patterns.q, patterns.qd, patterns.qdd)])
 
@@ -91,7 +91,7 @@ class SmoothingBias:
         margin = 2 * settings.preparation.reversal_margin
         for arguments in system.signs if margin else ():
             if arguments:
-                values = system.evaluate(arguments, *motion_of(patterns))
+                values = system.evaluate(arguments, *stacked_motion(patterns))
                 mask &= np.all(away_from_reversals(values, margin), axis=1)
         inner = dataclasses.replace(
             patterns, friction_mask=np.asarray(patterns.friction_mask) & mask[:, None]
@@ -150,7 +150,7 @@ class SmoothingBias:
         The bias is the difference of the coefficients of motion smoothed twice and once. It may be
         off by as much as it differs from that of three times and twice.
         """
-        once = motion_of(self.patterns)
+        once = stacked_motion(self.patterns)
         twice = self.again(once)
         first, second, third = map(self.solution, (once, twice, self.again(twice)))
         return second - first, (second - first) - (third - second)

@@ -137,7 +137,7 @@ def load_robot(
         limits = urdf_limits(root)
     else:
         limits = {joint.name: joint.limits for joint in tree.joints}
-    part = part_of(tree, path, base, tips, fixed, mimic=mimic)
+    part = choose_part(tree, path, base, tips, fixed, mimic=mimic)
     links = _linked(tree, part)
     files = [joint for _, joint in part.moved]
     following = {law.follower for law in part.mimics}
@@ -267,7 +267,7 @@ def _unless_zero(values: Sequence[float]) -> tuple[float, ...] | None:
     return tuple(values) if any(values) else None
 
 
-def part_of(
+def choose_part(
     tree: BodyTree,
     path: Path,
     base: str | None,
