@@ -160,21 +160,12 @@ def constants_from(system: "System", fit: Identification) -> tuple[ConstantEstim
     `system.unknown`; none where a coefficient is not determined, or where no values of the signs
     that are known come near the coefficients.
 
-    >>> import numpy as np, sympy
-    >>> from jaxcslc.systems import Constant, System, SystemRecording, Variable
-    >>> from jaxcslc.systems import constants_from, identify_system
-    >>> x, y, z, m, l = sympy.symbols("x y z m l", positive=True)
-    >>> lever = System(
-    ...     "lever", {"force": sympy.Eq(z, m * x + m * l * y)},
-    ...     (Variable(x), Variable(y), Variable(z)),
-    ...     (Constant(m, "kg", sign="positive"), Constant(l, "m", sign="positive")),
-    ... )
-    >>> time = np.arange(400) * 0.1
-    >>> columns = {"x": np.sin(time), "y": np.cos(2 * time)}
-    >>> columns["z"] = 2 * columns["x"] + 0.6 * columns["y"]
-    >>> report = identify_system(lever, SystemRecording(time, columns))
-    >>> [(row.name, round(row.value, 6)) for row in constants_from(lever, report.fit)]
-    [('m', 2.0), ('l', 0.3)]
+    >>> import jaxcslc as jc
+    >>> from jaxcslc.systems import constants_from
+    >>> tank, recording = jc.examples.tank()
+    >>> fit = jc.identify_system(tank, recording).fit
+    >>> [(row.name, round(row.value, 4), row.unit) for row in constants_from(tank, fit)]
+    [('area', 3.0, 'm²'), ('outlet', 0.5, '')]
     """
     from scipy.optimize import least_squares  # takes a while to load
 

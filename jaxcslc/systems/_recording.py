@@ -3,9 +3,9 @@
 import dataclasses
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -331,17 +331,12 @@ def _thresholds(
     preparation: Preparation, values: Float[np.ndarray, "samples signs"], output: int, count: int
 ) -> Float[np.ndarray, " signs"]:
     """Return the thresholds of the arguments of the signs in one equation."""
-
-    def of_output(options: float | int | Sequence[float | int]) -> float:
-        listed = np.atleast_1d(np.asarray(options, float))
-        if len(listed) not in (1, count):
-            raise ValueError(
-                f"{len(listed)} thresholds for {count} equations; expected one, or one for each"
-            )
-        return float(listed[output if len(listed) > 1 else 0])
-
-    if preparation.thresholds is not None:
-        return np.full(values.shape[1], of_output(preparation.thresholds))
-    fraction: Any = preparation.threshold_fraction
-    fraction = DEFAULT_THRESHOLD_FRACTION if fraction is None else fraction
-    return friction_thresholds(values, of_output(fraction))
+    absolute = preparation.thresholds is not None
+    options = preparation.thresholds if absolute else preparation.threshold_fraction
+    listed = np.atleast_1d(np.asarray(DEFAULT_THRESHOLD_FRACTION if options is None else options))
+    if len(listed) not in (1, count):
+        raise ValueError(
+            f"{len(listed)} thresholds for {count} equations; expected one, or one for each"
+        )
+    value = float(listed[output % len(listed)])
+    return np.full(values.shape[1], value) if absolute else friction_thresholds(values, value)

@@ -369,15 +369,9 @@ class System:
 
         **Raises** `DescriptionError` for names of no constant.
 
-        >>> from jaxcslc.systems import Constant, System, Variable
-        >>> import sympy
-        >>> x, y, a, n = sympy.symbols("x y a n")
-        >>> power = System(
-        ...     "power law", {"y": sympy.Eq(y, a * x**n)}, (Variable(x), Variable(y)),
-        ...     (Constant(a), Constant(n, bounds=(0.2, 1.0))),
-        ... )
-        >>> [constant.name for constant in power.with_values({"n": 0.5}).nonlinear]
-        []
+        >>> import jaxcslc as jc
+        >>> jc.examples.tank()[0].with_values({"area": 3.0}).network.names
+        ('outlet',)
         """
         names = [constant.name for constant in self.constants]
         if unknown := [name for name in values if name not in names]:
