@@ -36,11 +36,9 @@ _SAMPLES = 1500
 _BATCH = 16  # candidates whose error is computed at once
 _STEPS = 60  # of a local search
 _TOLERANCE = 1e-7  # of a local search, relative
-_TRIED = 8  # points that the first weights of outputs are taken from
 _REFINED = 8  # candidates that local searches start from
 _SAME = 1e-4  # of the bounds: minima no further apart are one
 _AT_BOUND = 1e-5  # of the bounds: a constant no further from one of them ends there
-_FINAL_STEPS = 8  # of the last fit
 _SHOWN = 6  # minima in a text
 
 
@@ -204,6 +202,12 @@ class ProjectedError(eqx.Module):
         of_outputs = jnp.asarray(weights)
         return cls(network, q, qd, qdd, torque, mask, of_outputs, low, high, rcond)
 
+    def weighted(self, error: Float[np.ndarray, " outputs"]) -> "ProjectedError":
+        """Return the problem with weights by errors; the largest for an output without one."""
+        largest = np.max(error) if np.any(error > 0.0) else 1.0
+        weights = jnp.asarray(1.0 / np.where(error > 0.0, error, largest))
+        return eqx.tree_at(lambda problem: problem.weights, self, weights)
+
     def values(self, point: Float[Array, " constants"]) -> Float[Array, " constants"]:
         """Constants from coordinates of the search: any real number is within the bounds."""
         return self.low + (self.high - self.low) * (0.5 + 0.5 * jnp.sin(point))
@@ -327,15 +331,18 @@ def search_constants(
         )
     solver = LeastSquares() if solver is None else solver
     require_float64(patterns.q, patterns.qd, patterns.qdd, patterns.torque)
-    weights = _first_weights(system.network, patterns, solver)
+    given, count = solver.joint_weights, system.network.joint_count
+    weights = np.ones(count) if isinstance(given, str) else np.asarray(given, float)
     problem = ProjectedError.of(system.network, patterns, weights, solver.rcond, _SAMPLES)
-    spread = _spread(starts, len(problem.low), seed)
-    points = [*spread, *_candidates(problem, candidates, seed)]
+    by_error = isinstance(given, str) and given == "residual" and count > 1
+    tried = _spread(candidates, len(problem.low), seed + 1)
+    if by_error:
+        problem = problem.weighted(_typical_error(problem, tried))
+    points = [*_spread(starts, len(problem.low), seed), *_candidates(problem, tried)]
     minima = _minima(problem, points, [int(i < starts) for i in range(len(points))])
-    if solver.joint_weights == "residual" and len(weights) > 1:
+    if by_error:
         # Weights by the errors of the best minimum, where those of chance were good enough so far.
-        weights = jnp.asarray(_inverse(minima[0].error))
-        problem = eqx.tree_at(lambda p: p.weights, problem, weights)
+        problem = problem.weighted(minima[0].error)
         points = [_point(problem, minimum.values) for minimum in minima]
         minima = _minima(problem, points, [minimum.starts for minimum in minima])
     values, fit = _together(system.network, patterns, solver, minima[0].values)
@@ -350,32 +357,13 @@ def _bounds(
     return low, high
 
 
-def _first_weights(
-    network: SystemNetwork, patterns: Patterns, solver: LeastSquares
+def _typical_error(
+    problem: ProjectedError, points: Float[np.ndarray, "points constants"]
 ) -> Float[np.ndarray, " outputs"]:
-    """Return the solver's weights; for `"residual"`, by median errors of fits at some points."""
-    weights = solver.joint_weights
-    outputs = network.joint_count
-    if weights == "equal" or (isinstance(weights, str) and outputs == 1):
-        return np.ones(outputs)
-    if not isinstance(weights, str):
-        return np.asarray(weights, float)
-    low, high = _bounds(network.system)
-    points = low + (high - low) * (0.5 + 0.5 * np.sin(_spread(_TRIED, len(low), 0)))
-    plain = dataclasses.replace(solver, loss="squared", errors="independent", cutoff=None)
-    fits = [
-        np.asarray(plain.fit(network.with_nonlinear(point), patterns, throw=False).torque_error)
-        for point in points
-    ]
-    errors = np.stack(fits)
+    """Return the median error of each output over points."""
+    errors = np.array(_errors(problem, jnp.asarray(points))[1])
     errors[:, np.all(np.isnan(errors), axis=0)] = 0.0  # outputs without an equation
-    return _inverse(np.nanmedian(errors, axis=0))
-
-
-def _inverse(error: Float[np.ndarray, " outputs"]) -> Float[np.ndarray, " outputs"]:
-    """Return weights by errors; the largest for an output without one."""
-    largest = np.max(error) if np.any(error > 0.0) else 1.0
-    return 1.0 / np.where(error > 0.0, error, largest)
+    return np.nanmedian(errors, axis=0)
 
 
 def _spread(count: int, constants: int, seed: int) -> Float[np.ndarray, "points constants"]:
@@ -396,11 +384,10 @@ def _point(
 
 
 def _candidates(
-    problem: ProjectedError, count: int, seed: int
-) -> Float[np.ndarray, "points constants"]:
-    """The best points whose error is less than that of all their neighbours."""
-    points = _spread(count, len(problem.low), seed + 1)
-    total = np.asarray(_totals(problem, jnp.asarray(points)))
+    problem: ProjectedError, points: Float[np.ndarray, "points constants"]
+) -> Float[np.ndarray, "best constants"]:
+    """Return the best points whose error is less than that of all their neighbours."""
+    total = np.asarray(_errors(problem, jnp.asarray(points))[0])
     total = np.where(np.isfinite(total), total, np.inf)
     if not np.any(np.isfinite(total)):
         raise RuntimeError(
@@ -408,7 +395,7 @@ def _candidates(
             " which the equations can be evaluated"
         )
     at = np.sin(points)
-    neighbours = min(2 * at.shape[1] + 1, count)  # with the point itself
+    neighbours = min(2 * at.shape[1] + 1, len(at))  # with the point itself
     distance = np.sum((at[:, None] - at[None]) ** 2, axis=-1)
     nearest = np.argsort(distance, axis=1)[:, :neighbours]
     lowest = np.flatnonzero(total <= np.min(total[nearest], axis=1))
@@ -416,9 +403,10 @@ def _candidates(
 
 
 @eqx.filter_jit
-def _totals(problem: ProjectedError, points: Array) -> Array:
+def _errors(problem: ProjectedError, points: Array) -> tuple[Array, Array]:
+    """Return `ProjectedError.error` at points."""
     return jax.lax.map(
-        lambda point: problem.error(problem.values(point))[0], points, batch_size=_BATCH
+        lambda point: problem.error(problem.values(point)), points, batch_size=_BATCH
     )
 
 
@@ -508,7 +496,7 @@ def _together(
         )
         return solver.fit_equations(equations, patterns.samples)
 
-    fit = gauss_newton(fitted, np.append(np.asarray(fit.k), values[free]), _FINAL_STEPS)
+    fit = gauss_newton(fitted, np.append(np.asarray(fit.k), values[free]))
     return values_of(np.asarray(fit.k)), fit
 
 
