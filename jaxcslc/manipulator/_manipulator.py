@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._environment import require
 from ._friction import (
     FRICTION_TERMS,
     Coupling,
@@ -29,7 +30,6 @@ from ._joint import (
     RobotError,
     Subnumbering,
     gravity_vector,
-    joint_table,
     modified_dh_joints,
 )
 from ._link_parameters import InertiaForm, LinkInertia, LinkParameters
@@ -454,7 +454,29 @@ class Manipulator:
         >>> jc.puma560().to_pandas()[["alpha", "a", "mass"]].loc[3].tolist()
         [0.0, 0.4318, 4.8]
         """
-        return joint_table(self)
+        pandas = require("pandas", "tables")
+        rows: list[dict[str, Any]] = []
+        for i, joint in enumerate(self.joints):
+            row: dict[str, Any] = {"kind": joint.kind, "parent": self.parents[i] + 1}
+            row |= {name: getattr(joint, name) for name in ("alpha", "theta", "gamma")}
+            row |= {letter: length.value for letter, _, length in joint.lengths}
+            if self.source is not None:
+                row |= {"joint of file": self.source.joints[i], "body": self.source.links[i]}
+            if self.links is not None:
+                link = self.links[i]
+                row |= {"mass": float(link.mass), "motor inertia": float(link.motor_inertia)}
+                row |= {
+                    f"r{axis}": float(link.centre_of_gravity[a]) for a, axis in enumerate("xyz")
+                }
+                row |= {
+                    f"I{'xyz'[a]}{'xyz'[b]}": float(link.inertia[a, b])
+                    for a in range(3)
+                    for b in range(a, 3)
+                }
+            for term, values in (("viscous", self.viscous), ("dry", self.dry)):
+                row |= {} if values is None else {term: values[i]}
+            rows.append(row)
+        return pandas.DataFrame(rows, index=range(1, self.joint_count + 1)).rename_axis("joint")
 
     def __repr__(self) -> str:
         links = "known links" if self.links is not None else "unknown links"

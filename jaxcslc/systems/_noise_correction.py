@@ -522,8 +522,7 @@ def _enlargement(
 ) -> Float[np.ndarray, " coefficients"]:
     """Standard errors of residuals over those of simulated noise; 0 for what is not determined."""
     residual, determined = np.asarray(fit.standard_error), np.asarray(fit.determined)
-    ratio = np.where(determined, residual, 0.0) / np.maximum(simulated, np.finfo(float).tiny)
-    return np.where(determined, ratio, 0.0)
+    return np.where(determined, residual, 0.0) / np.maximum(simulated, np.finfo(float).tiny)
 
 
 def _corrected(

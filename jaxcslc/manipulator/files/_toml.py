@@ -2,7 +2,7 @@
 
 import dataclasses
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -144,11 +144,10 @@ def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
         ).with_gravity(gravity)
     except RobotError as error:
         raise error if str(error).startswith(where) else RobotError(f"{where}: {error}") from None
-    terms = list(robot.friction_terms)
     return dataclasses.replace(
         robot,
-        viscous=_friction(entries, "viscous", terms, where),
-        dry=_friction(entries, "dry", terms, where),
+        viscous=_friction(entries, "viscous", robot.friction_terms, where),
+        dry=_friction(entries, "dry", robot.friction_terms, where),
         static_slopes=_static_slopes(entries, robot, where),
         numbering=_numbering(document["numbering"], where) if "numbering" in document else None,
     )
@@ -252,17 +251,22 @@ def _agrees(link: LinkParameters, inertia: LinkInertia, at: str) -> None:
             )
 
 
+def _numbers(entries: list[Any], key: str, where: str) -> dict[int, float]:
+    """Return the numbers that joints have under a key, by the joint's number from 1."""
+    return {
+        i: _number(entry[key], f"{where}, joint {i}, {key}")
+        for i, entry in enumerate(entries, start=1)
+        if key in entry
+    }
+
+
 def _friction(
-    entries: list[Any], term: str, friction: list[str], where: str
+    entries: list[Any], term: str, friction: Sequence[str], where: str
 ) -> tuple[float, ...] | None:
-    values: list[float] = []
-    for i, entry in enumerate(entries, start=1):
-        if term in entry:
-            values.append(_number(entry[term], f"{where}, joint {i}, {term}"))
-            if values[-1] < 0:
-                raise RobotError(
-                    f"{where}, joint {i}, {term}: expected zero or more, got {values[-1]}"
-                )
+    values = _numbers(entries, term, where)
+    for i, value in values.items():
+        if value < 0:
+            raise RobotError(f"{where}, joint {i}, {term}: expected zero or more, got {value}")
     if not values:
         return None
     if len(values) != len(entries):
@@ -272,20 +276,19 @@ def _friction(
             f"{where}: joints have {term} friction, which is not among the terms of friction:"
             f" {', '.join(friction) or 'none'}"
         )
-    return tuple(values)
+    return tuple(values.values())
 
 
 def _static_slopes(entries: list[Any], robot: Manipulator, where: str) -> tuple[float, ...] | None:
-    slopes = [STATIC_SLOPE] * len(entries)
-    for i, entry in enumerate(entries, start=1):
-        if "static_slope" in entry:
-            at = f"{where}, joint {i}, static_slope"
-            slopes[i - 1] = _number(entry["static_slope"], at)
-            if slopes[i - 1] <= 0:
-                raise RobotError(f"{at}: expected a number above 0, got {slopes[i - 1]}")
-            if "static" not in robot.friction_per_joint[i - 1]:
-                raise RobotError(f"{at}: the joint has no static friction among its terms")
-    return tuple(slopes) if any("static_slope" in entry for entry in entries) else None
+    slopes = _numbers(entries, "static_slope", where)
+    for i, slope in slopes.items():
+        at = f"{where}, joint {i}, static_slope"
+        if slope <= 0:
+            raise RobotError(f"{at}: expected a number above 0, got {slope}")
+        if "static" not in robot.friction_per_joint[i - 1]:
+            raise RobotError(f"{at}: the joint has no static friction among its terms")
+    numbers = range(1, len(entries) + 1)
+    return tuple(slopes.get(i, STATIC_SLOPE) for i in numbers) if slopes else None
 
 
 def _joint_names(entries: list[Any], where: str) -> tuple[str, ...]:
