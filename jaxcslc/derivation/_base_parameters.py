@@ -22,8 +22,10 @@ from ._lagrange import BODY, Form, InertialTerm, gravity_factors, kinetic_factor
 # literature does (Gautier and Khalil 1990): mass, then the third first moment, then one moment.
 _REGROUPED_LAST = {"Iyy": 1, "hz": 2, "m": 3}
 _SEED = 1990
-# A Mersenne prime for exact arithmetic and another to test its result under.
-_PRIME, _CHECK = 2**521 - 1, 2**607 - 1
+_PRIME = 2**521 - 1  # a Mersenne prime
+# Of numerators and denominators that are read back from residues: by chance, a residue is that of a
+# fraction this short once in 2^(521 - 2 * 200).
+_LONGEST = 2**200
 _BITS = 1024  # of ball arithmetic, where fractions are longer than the prime
 _IDLE = 3  # positions that add nothing, after which the span is complete
 
@@ -45,9 +47,9 @@ def base_parameters(
     in arithmetic modulo a large prime: it is as exact as that of rationals and does not swell.
     (Rationals of arbitrary angles grow to thousands of digits in elimination: 8 s for a tree of
     7 joints where this takes a fraction of one.) The combinations are then read back as the
-    simplest fractions of their residues and tested at one more position, under another
-    prime. Where angles are arbitrary the fractions are longer than that; then they are computed
-    as numbers, in ball arithmetic that bounds its own rounding, and rounded once.
+    simplest fractions of their residues. Where angles are arbitrary the fractions are too long for
+    that; then they are computed as numbers, in ball arithmetic that bounds its own rounding, and
+    rounded once.
 
     Positions are drawn from a fixed seed; a set that misses part of the span is a zero of a
     polynomial that does not vanish identically. Building it from the coefficients of the
@@ -61,12 +63,11 @@ def base_parameters(
     """
     order = sorted(range(len(terms)), key=lambda index: _preference(terms[index], index))
     forms = _Forms(robot, chain, terms, order)
-    rows, pivots, built_from = _echelon_form(forms, _PRIME)
+    rows, pivots, built_from = _echelon_form(forms)
     fractions = [
-        {column: _fraction(int(x), _PRIME) for column, x in enumerate(row) if x != 0}
-        for row in rows
+        {column: _fraction(int(x)) for column, x in enumerate(row) if x != 0} for row in rows
     ]
-    if not _span_forms(forms, pivots, fractions):
+    if any(max(abs(top), bottom) > _LONGEST for row in fractions for top, bottom in row.values()):
         fractions = _in_balls(forms, pivots, fractions, built_from)
     combinations = [
         {order[column]: fmpq(*fraction) for column, fraction in row.items()} for row in fractions
@@ -147,13 +148,13 @@ class _Forms:
         return rows
 
 
-def _echelon_form(forms: _Forms, prime: int) -> tuple[list[Row], list[int], list[Row]]:
-    """The span's reduced row echelon form modulo a prime.
+def _echelon_form(forms: _Forms) -> tuple[list[Row], list[int], list[Row]]:
+    """The span's reduced row echelon form modulo the prime.
 
     **Returns** its rows, their pivot columns, and the forms at the positions that it was built
     from, one after the other.
     """
-    draw, field = random.Random(_SEED), fmpz_mod_ctx(prime)
+    draw, field = random.Random(_SEED), fmpz_mod_ctx(_PRIME)
     weights = random.Random(_SEED + 2)
     rows: list[Row] = []
     seen: list[Row] = []
@@ -163,7 +164,7 @@ def _echelon_form(forms: _Forms, prime: int) -> tuple[list[Row], list[int], list
         new = forms.at_random_position(draw, field)
         seen += new
         # A combination of all forms, with random weights, is outside the span if one of them is.
-        combination = fmpz_mod_mat([[field(weights.randrange(prime)) for _ in new]], field)
+        combination = fmpz_mod_mat([[field(weights.randrange(_PRIME)) for _ in new]], field)
         one = (combination * fmpz_mod_mat(new, field)).tolist()
         if fmpz_mod_mat([*rows, *one], field).rref()[1] == len(rows):
             idle += 1
@@ -177,20 +178,6 @@ def _echelon_form(forms: _Forms, prime: int) -> tuple[list[Row], list[int], list
 
 def _first_not_zero(row: Row) -> int:
     return next(column for column, x in enumerate(row) if x != 0)
-
-
-def _span_forms(
-    forms: _Forms, pivots: Sequence[int], fractions: Sequence[dict[int, tuple[int, int]]]
-) -> bool:
-    """Return whether the combinations span the forms at a new position, modulo another prime."""
-    field = fmpz_mod_ctx(_CHECK)
-    combinations = [[field(0)] * len(forms.order) for _ in fractions]
-    for row, combination in zip(combinations, fractions, strict=True):
-        for column, (top, bottom) in combination.items():
-            row[column] = field(top) / field(bottom)
-    rows = forms.at_random_position(random.Random(_SEED + 1), field)
-    weights = fmpz_mod_mat([[row[pivot] for pivot in pivots] for row in rows], field)
-    return weights * fmpz_mod_mat(combinations, field) == fmpz_mod_mat(rows, field)
 
 
 def _in_balls(
@@ -226,10 +213,10 @@ def _in_balls(
         ]
 
 
-def _fraction(residue: int, prime: int) -> tuple[int, int]:
+def _fraction(residue: int) -> tuple[int, int]:
     """The fraction of smallest numerator and denominator that leaves this residue (Wang 1981)."""
-    bound = math.isqrt(prime // 2)
-    before, now, factor_before, factor = prime, residue, 0, 1
+    bound = math.isqrt(_PRIME // 2)
+    before, now, factor_before, factor = _PRIME, residue, 0, 1
     while now > bound:
         quotient = before // now
         before, now = now, before - quotient * now
