@@ -60,13 +60,16 @@ class Body(NamedTuple):
     fault: str | None  # why the inertia stated is none that a body can have
 
 
+Loops = tuple[tuple[str, tuple[str, str]], ...]
+
+
 class BodyTree(NamedTuple):
     """All bodies of a file, parents first; the first is the world."""
 
     bodies: tuple[Body, ...]
     gravity: tuple[float, float, float]
     leaders: Mapping[str, str]  # of joints that follow others, or are held by the world
-    loops: tuple[tuple[str, tuple[str, str]], ...]  # other constraints: kind, what they connect
+    loops: Loops  # other constraints: kind, what they connect
     mimics: Sequence[Mimic] = ()  # joints that follow others by a linear law
 
     @property
@@ -115,8 +118,7 @@ def _read(path: Path, urdf: bool, edits: Sequence[Edit]) -> BodyTree:
     unknown = _without_geometry(spec, urdf)
     massless = {b.name for b in spec.bodies if not (b.explicitinertial or b.geoms)} - unknown
     stated = _replaced_inertias(spec, {*inertials, *unknown, *massless})
-    leaders, loops = _constraints(spec)
-    laws = tuple(_laws(spec))
+    leaders, loops, laws = _constraints(spec)
     _delete(spec.equalities, spec)
     spec.compiler.fusestatic = False
     try:
@@ -147,7 +149,7 @@ def _read(path: Path, urdf: bool, edits: Sequence[Edit]) -> BodyTree:
     mimics = (
         # MuJoCo's law is one of differences from the file's zero position.
         Mimic(y, x, slope, zero[y] + constant - slope * zero[x])
-        for y, x, (constant, slope) in laws
+        for y, x, constant, slope in laws
         if y in zero and x in zero
     )
     return BodyTree(tuple(bodies), (x, y, z), leaders, loops, tuple(mimics))
@@ -281,30 +283,27 @@ def _replaced_inertias(spec: Any, names: set[str]) -> dict[str, Float[np.ndarray
     return centres
 
 
-def _constraints(
-    spec: Any,
-) -> tuple[dict[str, str], tuple[tuple[str, tuple[str, str]], ...]]:
-    """Return the joints that follow others, with these, and all other constraints."""
+Law = tuple[str, str, float, float]  # follower, leader, constant, slope
+
+
+def _constraints(spec: Any) -> tuple[dict[str, str], Loops, list[Law]]:
+    """Return the joints that follow others, with these; other constraints; and linear laws."""
     leaders: dict[str, str] = {}
     loops: list[tuple[str, tuple[str, str]]] = []
+    laws: list[Law] = []
     for equality in spec.equalities:
-        if equality.active and equality.name1:
-            kind = equality.type.name.removeprefix("mjEQ_").lower()
-            first, second = equality.name1, equality.name2 or WORLD
-            if kind == "joint":
-                leaders[first] = second
-            else:
-                loops.append((f"equality of kind {kind!r}", (first, second)))
-    return leaders, tuple(loops)
-
-
-def _laws(spec: Any) -> Iterator[tuple[str, str, tuple[float, float]]]:
-    """Joints that follow others: names, and constant and slope of a law that is linear."""
-    for equality in spec.equalities:
-        joint = equality.type.name == "mjEQ_JOINT"
+        if not (equality.active and equality.name1):
+            continue
+        kind = equality.type.name.removeprefix("mjEQ_").lower()
+        first, second = equality.name1, equality.name2 or WORLD
+        if kind != "joint":
+            loops.append((f"equality of kind {kind!r}", (first, second)))
+            continue
+        leaders[first] = second
         constant, slope, *powers = (float(x) for x in equality.data[:5])
-        if equality.active and joint and equality.name2 and not any(powers):
-            yield equality.name1, equality.name2, (constant, slope)
+        if equality.name2 and not any(powers):
+            laws.append((first, second, constant, slope))
+    return leaders, tuple(loops), laws
 
 
 def _joints(model: Any, body: int, strongest: Mapping[str, float]) -> Iterator[FileJoint]:
