@@ -20,12 +20,13 @@ from jaxcslc._environment import require
 from .._joint import JointKind, RobotError
 from .._link_parameters import LinkParameters
 from .._manipulator import JointLimits, Mimic
-from ._urdf import Edit, simplified
+from ._urdf import LARGEST, Edit, simplified
 
 
-_ROUNDING = 1e-9  # by which a file's numbers may miss being an inertia, relatively ...
-_LARGEST = 1e9  # of a drive's armature, damping and friction [SI units]
-_SMALLEST = 1e-15  # ... and absolutely [kg m²]: inertias of links of next to no mass are rounding
+# By which a file's numbers may miss being an inertia, relatively, and absolutely [kg m²]: inertias
+# of links of next to no mass are rounding.
+_ROUNDING = 1e-9
+_SMALLEST = 1e-15
 
 WORLD = "world"  # what MuJoCo calls the body that carries all others
 
@@ -328,8 +329,8 @@ def _joints(model: Any, body: int, strongest: Mapping[str, float]) -> Iterator[F
             ("damping", model.dof_damping[dof]),
             ("friction loss", model.dof_frictionloss[dof]),
         ):
-            if kind and not 0.0 <= value <= _LARGEST:
-                fault = f"{what} is {value:g}; expected 0 to {_LARGEST:g}"
+            if kind and not 0.0 <= value <= LARGEST:
+                fault = f"{what} is {value:g}; expected 0 to {LARGEST:g}"
         yield FileJoint(
             name,
             kind,

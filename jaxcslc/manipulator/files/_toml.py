@@ -26,7 +26,7 @@ from .._link_parameters import LinkInertia, LinkParameters, motor_inertia
 from .._manipulator import Manipulator, Source
 
 
-_ROUNDING = 1e-12
+_ROUNDING = 1e-12  # by which a link's values may miss what it lists as zero or equal [SI units]
 _ROBOT_KEYS = {
     *("name", "about", "gravity", "friction", "coupled", "lengths", "links", "joint", "numbering")
 }

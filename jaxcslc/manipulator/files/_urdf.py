@@ -22,7 +22,7 @@ from .._manipulator import JointLimits, Mimic
 _DEEPEST, _MOST_ELEMENTS, _MOST_BODIES = 256, 200_000, 3000
 # Where bodies and joints are: MuJoCo computes with any number, and poses become NaN without a word.
 _PLACEMENT = {"xyz", "rpy", "pos", "axis", "quat", "euler", "axisangle", "xyaxes", "zaxis"}
-_LARGEST = 1e9
+LARGEST = 1e9  # metres or radians of a placement; also of a drive's numbers, in SI units
 _TAG = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""")
 
 
@@ -84,7 +84,7 @@ def parse_xml(text: bytes, where: str) -> Element:
                 raise RobotError(f"{line()}: {name} of {tag} is {value!r}; expected numbers")
             if name in _PLACEMENT and not all(map(_is_moderate, value.split())):
                 raise RobotError(
-                    f"{line()}: {name} of {tag} is {value!r}; expected numbers up to {_LARGEST:g}"
+                    f"{line()}: {name} of {tag} is {value!r}; expected numbers up to {LARGEST:g}"
                 )
         element = Element(tag, attributes, parser.CurrentLineNumber, parser.CurrentByteIndex)
         stack[-1].children.append(element)
@@ -128,7 +128,7 @@ def _copies(tag: str, attributes: Mapping[str, str]) -> int:
 
 def _is_moderate(text: str) -> bool:
     try:
-        return abs(float(text)) <= _LARGEST
+        return abs(float(text)) <= LARGEST
     except ValueError:
         return True  # not a number: MuJoCo says so
 
