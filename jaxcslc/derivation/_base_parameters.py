@@ -125,6 +125,7 @@ class _Forms:
             for term in terms
         ]
         links = sorted({term.link for term in terms if term.body})
+        motors = {x.link: column for column, x in enumerate(terms) if x.factors == ("motor",)}
 
         def row(first: int, factors_of: Callable[[LinkTwists], dict[str, Any]]) -> Row:
             factors = {link: factors_of(twists[link]) for link in links if link >= first}
@@ -139,10 +140,8 @@ class _Forms:
         for j in range(n):
             for k in range(j, n):
                 entries = row(k, lambda twist, j=j, k=k: kinetic_factors(twist, j, k, needed))
-                if j == k:
-                    for column, term in enumerate(terms):
-                        if term.factors == ("motor",) and term.link == j:
-                            entries[column] = field(1)
+                if j == k and j in motors:
+                    entries[motors[j]] = field(1)
                 rows.append(entries)
             rows.append(row(j, lambda twist, j=j: gravity_factors(twist, j, needed)))
         return rows

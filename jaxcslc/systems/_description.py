@@ -239,12 +239,11 @@ class MotionSymbols:
         expression = sympify(expression)
         if any(not isinstance(d.expr, AppliedUndef) for d in expression.atoms(Derivative)):
             expression = expression.doit()
-        index_of = self.variables
-        listed = ", ".join(index_of) or "there are none"
+        listed = ", ".join(self.variables) or "there are none"
         replaced: dict[Any, Any] = {}
         for derivative in sorted(expression.atoms(Derivative), key=str):
             name, order = name_of(derivative.expr), derivative.derivative_count
-            if name not in index_of or derivative.variables != derivative.expr.args * order:
+            if name not in self.variables or derivative.variables != derivative.expr.args * order:
                 raise DescriptionError(
                     f"{where}: {derivative} is no time derivative of a variable; expected one of"
                     f" {listed}"
@@ -253,24 +252,19 @@ class MotionSymbols:
                 raise DescriptionError(
                     f"{where}: derivative {order} of {name!r}; expected the first or the second"
                 )
-            replaced[derivative] = self.motion[index_of[name], order]
+            replaced[derivative] = self.motion[self.variables[name], order]
         expression = expression.xreplace(replaced)
-        motion = set(self.motion.values())
-        for atoms in (expression.atoms(AppliedUndef), None):
-            # Functions of time before symbols, so that the time in them is no name of its own.
-            replaced = {}
-            for atom in sorted(expression.free_symbols if atoms is None else atoms, key=str):
-                name = name_of(atom)
-                if name in index_of and atom not in motion:
-                    replaced[atom] = self.motion[index_of[name], 0]
-                elif atoms is None and name in self.constants:
-                    replaced[atom] = self.constants[name]
-                elif atom not in motion:
-                    raise DescriptionError(
-                        f"{where}: unknown name {str(atom)!r}; expected a variable"
-                        f" ({listed}) or a constant"
-                        f" ({', '.join(self.constants) or 'there are none'})"
-                    )
-            expression = expression.xreplace(replaced)
+        values = {name: self.motion[index, 0] for name, index in self.variables.items()}
+        # Functions of time before symbols, so that the time in them is no name of its own.
+        for named in (values, values | self.constants):
+            atoms = expression.atoms(AppliedUndef) if named is values else expression.free_symbols
+            unknown = sorted(atoms - set(self.motion.values()), key=str)
+            if missing := [atom for atom in unknown if name_of(atom) not in named]:
+                raise DescriptionError(
+                    f"{where}: unknown name {str(missing[0])!r}; expected a variable"
+                    f" ({listed}) or a constant"
+                    f" ({', '.join(self.constants) or 'there are none'})"
+                )
+            expression = expression.xreplace({atom: named[name_of(atom)] for atom in unknown})
         decimals = {x: Rational(repr(float(x))) for x in expression.atoms(Float)}
         return expression.xreplace(decimals)

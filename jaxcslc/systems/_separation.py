@@ -73,17 +73,20 @@ class FractionField:
             changed = False
             for index, power, value in self._relations:
                 while any(monomial[index] >= power for monomial in polynomial):
-                    kept, lowered = self.ring.zero, self.ring.zero
-                    for monomial, coefficient in polynomial.items():
-                        if monomial[index] < power:
-                            kept[monomial] = coefficient
-                        else:
-                            row = list(monomial)
-                            row[index] -= power
-                            lowered[tuple(row)] = coefficient
-                    polynomial = kept + lowered * value
+                    polynomial = self._replaced(polynomial, index, power, value)
                     changed = True
         return polynomial
+
+    def _replaced(self, polynomial: Any, index: int, power: int, value: Any) -> Any:
+        kept, lowered = self.ring.zero, self.ring.zero
+        for monomial, coefficient in polynomial.items():
+            if monomial[index] < power:
+                kept[monomial] = coefficient
+            else:
+                row = list(monomial)
+                row[index] -= power
+                lowered[tuple(row)] = coefficient
+        return kept + lowered * value
 
     def parts(self, polynomial: Any) -> dict[Monomial, "Form"]:
         """Return the factor of each product of variables: a polynomial of constants."""
