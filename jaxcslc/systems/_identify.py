@@ -99,10 +99,13 @@ def identify_system(
             system, training, patterns["training"], settings, fit, noise
         )
         fit = fit if correction is None else correction.fit
-    simulation = None
+    simulation: Simulation | str | None = None
     if validation is not None:
         step("simulating")
-        simulation = _simulation(system, network, fit, patterns["validation"])
+        try:
+            simulation = simulate_system(system, fit.k, patterns["validation"], network=network)
+        except DescriptionError as error:
+            simulation = str(error)
     step("computing errors")
     constants = constants_from(system, fit)
     errors = {name: compare(network, values, {"fit": fit.k}) for name, values in patterns.items()}
@@ -157,8 +160,7 @@ def system_settings(system: System, recording: SystemRecording) -> Settings:
     """
     if not system.states:
         return Settings()
-    names = [system.variables[index].column_name for index in system.states]
-    position = np.stack([recording.column(name) for name in names], axis=1)
+    position = recording.stacked(system.variables[i].column_name for i in system.states)
     longest = max(recording.samples // _KNOTS, _SPACINGS[0])
     candidates = [spacing for spacing in _SPACINGS if spacing <= longest]
     sections = any(system.signs)
@@ -184,16 +186,6 @@ def _correction(
     except EquationsUndefined as error:
         return None, (f"{error}; no bias is taken off",)
     return correction, correction.warnings
-
-
-def _simulation(
-    system: System, network: SystemNetwork, fit: Identification, patterns: Patterns
-) -> Simulation | str:
-    """The motion of the identified system, or why it cannot be simulated."""
-    try:
-        return simulate_system(system, fit.k, patterns, network=network)
-    except DescriptionError as error:
-        return str(error)
 
 
 def _warnings(

@@ -15,6 +15,8 @@ from ._system import Formulas, System
 
 Motion = Float[Array | np.ndarray, "... variables"]
 Outputs = Float[Array, "*batch outputs"]
+Batch = Float[Array, "*batch variables"]
+Rows = Float[Array | np.ndarray, "variables samples"]
 
 
 class SystemTerm(AbstractTerm):
@@ -52,15 +54,12 @@ class SystemTerm(AbstractTerm):
             return id(self.nonlinear)
         return hash((self.formulas, np.asarray(self.nonlinear).tobytes()))
 
-    def _values(self, *motion: Float[Array, "*batch variables"]) -> dict[tuple[int, int], Any]:
+    def _values(self, *motion: Batch) -> dict[tuple[int, int], Any]:
         """Return the value of each of `entries`."""
         return dict(zip(self.entries, self.formulas(motion, self.nonlinear), strict=True))
 
     def columns(
-        self,
-        q: Float[Array | np.ndarray, "variables samples"],
-        qd: Float[Array | np.ndarray, "variables samples"],
-        qdd: Float[Array | np.ndarray, "variables samples"],
+        self, q: Rows, qd: Rows, qdd: Rows
     ) -> tuple[Float[Array | np.ndarray, "_ samples"], ...]:
         values = self._values(*(jnp.asarray(x).T for x in (q, qd, qdd)))
         empty = jnp.zeros((0, q.shape[1]), q.dtype)
@@ -70,10 +69,7 @@ class SystemTerm(AbstractTerm):
         )
 
     def regressor(
-        self,
-        q: Float[Array, "*batch variables"],
-        qd: Float[Array, "*batch variables"],
-        qdd: Float[Array, "*batch variables"],
+        self, q: Batch, qd: Batch, qdd: Batch
     ) -> Float[Array, "*batch outputs coefficients"]:
         values = self._values(q, qd, qdd)
         zero = jnp.zeros(q.shape[:-1], q.dtype)
@@ -83,13 +79,7 @@ class SystemTerm(AbstractTerm):
         ]
         return jnp.stack(rows, axis=-2)
 
-    def torque(
-        self,
-        k: Float[Array, " coefficients"],
-        q: Float[Array, "*batch variables"],
-        qd: Float[Array, "*batch variables"],
-        qdd: Float[Array, "*batch variables"],
-    ) -> Outputs:
+    def torque(self, k: Float[Array, " coefficients"], q: Batch, qd: Batch, qdd: Batch) -> Outputs:
         totals = [jnp.zeros(q.shape[:-1], q.dtype) for _ in range(self.output_count)]
         for (i, j), value in self._values(q, qd, qdd).items():
             totals[i] = totals[i] + k[j] * value

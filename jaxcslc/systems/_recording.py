@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -90,6 +90,10 @@ class SystemRecording:
             )
         return self.columns[name]
 
+    def stacked(self, names: Iterable[str]) -> Float[np.ndarray, "samples columns"]:
+        """Return columns side by side; **raises** as `column`."""
+        return np.stack([self.column(name) for name in names], axis=1)
+
 
 def load_system_recording(
     path: str | os.PathLike[str], system: "System | None" = None
@@ -150,8 +154,7 @@ def measurement_noise(system: "System", recording: SystemRecording) -> dict[str,
     >>> {name: round(float(value), 3) for name, value in levels.items()}
     {'level': 0.01, 'inflow': 0.0}
     """
-    columns = np.stack([recording.column(name) for name in system.column_names], axis=1)
-    differences = sixth_differences(columns, recording.time)
+    differences = sixth_differences(recording.stacked(system.column_names), recording.time)
     if not len(differences):
         return dict.fromkeys(system.column_names, 0.0)
     # 0.6745 is the median modulus of a normal variable of unit deviation.
@@ -285,10 +288,10 @@ def system_derivatives(
     q, qd, qdd = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     states, inputs = system.states, system.inputs
     if inputs:
-        recorded = [recording.column(system.variables[i].column_name) for i in inputs]
-        q[:, inputs] = preparation.aligned(time, np.stack(recorded, axis=1))
+        recorded = recording.stacked(system.variables[i].column_name for i in inputs)
+        q[:, inputs] = preparation.aligned(time, recorded)
     if states:
-        position = np.stack([recording.column(system.variables[i].column_name) for i in states], 1)
+        position = recording.stacked(system.variables[i].column_name for i in states)
         smoothed = without_rounding(position, smoothing.smooth(time, position))
         q[:, states], qd[:, states], qdd[:, states] = smoothed
     for name, target in (("rate", qd), ("second_rate", qdd)):
