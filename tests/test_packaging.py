@@ -52,7 +52,7 @@ LAYERS = {
     "uncertainty": {"least_squares"},
     "bodies": {"uncertainty"},
     "friction": {"uncertainty"},
-    "examples": {"network", "recordings"},
+    "examples": {"systems"},
     "export": {"bodies", "friction"},
     "instruments": {"bodies", "friction"},
     "likelihood": {"bodies", "friction"},
@@ -416,13 +416,17 @@ def test_importing_the_library_leaves_everything_as_it_was() -> None:
     program = (
         "import sys; import jaxcslc; assert 'jax' not in sys.modules; "
         "import jax; before = dict(jax.config.values); "
-        "names = [getattr(jaxcslc, name) for name in dir(jaxcslc) "
-        "if name not in ('adaptive', 'training')]; assert len(names) >= 50; "
-        "assert dict(jax.config.values) == before; "
+        "others = set(dir(jaxcslc)) - {'adaptive', 'training'}; "
+        "of_systems = {name for name in others if 'ystem' in name}; "
+        "names = [getattr(jaxcslc, name) for name in others - of_systems]; "
+        "assert len(names) >= 50; "
         "heavy = {'sim', 'mujoco', 'matplotlib', 'cvxpy', 'clarabel', 'pandas', 'tomlkit', "
         "'sympy', 'optimistix', 'scipy.interpolate', 'scipy.optimize', 'scipy.signal', "
         "'scipy.special', 'tqdm', 'typer', 'jaxcslc.training', 'jaxcslc.training'}; "
         "assert not heavy & sys.modules.keys(), heavy & sys.modules.keys(); "
+        "assert len([getattr(jaxcslc, name) for name in of_systems]) >= 6; "  # made of SymPy
+        "assert heavy & sys.modules.keys() == {'sympy'}, heavy & sys.modules.keys(); "
+        "assert dict(jax.config.values) == before; "
         "assert jaxcslc.training.train and jaxcslc.training.AdaptiveNetwork"
     )
     run = subprocess.run(

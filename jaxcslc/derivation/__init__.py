@@ -9,15 +9,14 @@ builds its terms from it.
 
 Modules, in reading order:
 
-- `_chain`: kinematics in groups of parallel axes, and the columns of the links' Jacobians.
-- `_exact`: rationals for decimals and angles.
+- `_chain`: rationals for decimals and angles; kinematics in groups of parallel axes, and the
+  columns of the links' Jacobians.
 - `_polynomials`: sparse polynomials in sines and cosines, and their normal form.
-- `_inertial_terms`: products of link parameters, and their factors in M and G.
-- `_lagrange`: mass matrix, gravity vector and Christoffel symbols.
+- `_lagrange`: products of link parameters; mass matrix, gravity vector and Christoffel symbols.
 - `_base_parameters`: the fewest coefficients, for numeric lengths and for symbolic ones.
-- `_tables`: coefficients, inputs and links.
+- `_tables`: coefficients and their signs, inputs and links.
 - `_algebra`: the whole derivation.
-- `_identifiability`, `_positivity`: properties of coefficients that the algebra decides.
+- `_identifiability`: which link parameters coefficients determine.
 - `_newton_euler`: the same dynamics as a recursion, over any kind of number.
 """
 
@@ -28,13 +27,17 @@ from ._algebra import (
     derive_algebra as derive_algebra,
 )
 from ._base_parameters import Basis as Basis
-from ._chain import Chain as Chain, link_twists as link_twists
-from ._exact import exact_cos_sin as exact_cos_sin, exact_number as exact_number
+from ._chain import (
+    Chain as Chain,
+    exact_cos_sin as exact_cos_sin,
+    exact_number as exact_number,
+    link_twists as link_twists,
+)
 from ._identifiability import (
     StructuralIdentifiability as StructuralIdentifiability,
     structural_identifiability as structural_identifiability,
 )
-from ._inertial_terms import (
+from ._lagrange import (
     BODY as BODY,
     InertialTerm as InertialTerm,
     UnitInertia as UnitInertia,
@@ -45,12 +48,13 @@ from ._newton_euler import (
     NewtonEuler as NewtonEuler,
     link_frames as link_frames,
 )
-from ._polynomials import PositionRing as PositionRing
+from ._polynomials import PositionRing as PositionRing, product_text as product_text
 from ._tables import (
     Addend as Addend,
     Coefficient as Coefficient,
     ProductTable as ProductTable,
     TableLink as TableLink,
+    sum_text as sum_text,
 )
 
 

@@ -15,13 +15,28 @@ from flint import fmpq
 
 from ..manipulator import Length, Manipulator, Numbering, RobotError, Subnumbering
 from ._base_parameters import Basis, base_parameters
-from ._chain import Chain, LinkTwists, link_twists
-from ._exact import exact_number
-from ._inertial_terms import InertialTerm, UnitInertia, inertial_terms, unit_inertia
-from ._lagrange import Element, Form, christoffel_symbols, gravity_vector, mass_matrix
+from ._chain import Chain, LinkTwists, exact_number, link_twists
+from ._lagrange import (
+    Element,
+    Form,
+    InertialTerm,
+    UnitInertia,
+    christoffel_symbols,
+    gravity_vector,
+    inertial_terms,
+    mass_matrix,
+)
 from ._polynomials import PositionRing
-from ._positivity import positive_by_construction
-from ._tables import Addend, Coefficient, Column, ProductTable, expression, table, unit_of
+from ._tables import (
+    Addend,
+    Coefficient,
+    Column,
+    ProductTable,
+    positive_by_construction,
+    sum_text,
+    table,
+    unit_of,
+)
 
 
 Lengths = Literal["symbolic", "numeric"] | tuple[str, ...]
@@ -104,7 +119,7 @@ class Algebra:
         matrices: k = L θ with L in reduced echelon form, so selecting the columns of these terms is
         a right inverse of L.)
         """
-        return tuple(unit_inertia(self.terms[index]) for index in self.base_terms)
+        return tuple(self.terms[index].unit_inertia for index in self.base_terms)
 
     @property
     def mass(self) -> ProductTable:
@@ -134,10 +149,8 @@ def derive_algebra(robot: Manipulator, lengths: Lengths) -> Algebra:
       of names keeps these lengths, and gravity, as symbols and puts the values of the others in
       (thesis 8.2.1): mass and gravity stay apart.
 
-    **Raises**
-
-    - `RobotError`: if a length that is to be a number has no value, if a name is no length of the
-      robot, or if a published numbering does not fit.
+    **Raises** `RobotError` if a length that is to be a number has no value, if a name is no length
+    of the robot, or if a published numbering does not fit.
 
     >>> from jaxcslc.manipulator import Manipulator
     >>> pendulum = Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -162,7 +175,7 @@ def _with_numbers(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, .
     base_terms, combinations = base_parameters(robot, chain, terms)
     ring = PositionRing(chain, ())
     coefficients = tuple(
-        _coefficient(f"kB{i}", "base", combination, terms, robot, ())
+        _coefficient(f"kB{i}", "base", _with_name_first(combination, terms), robot)
         for i, combination in enumerate(combinations, start=1)
     )
 
@@ -172,10 +185,20 @@ def _with_numbers(robot: Manipulator, chain: Chain, terms: tuple[InertialTerm, .
         twists = _twists(robot, ring, lambda length, _: exact_number(length.value or 0.0))
         kept = [terms[index] for index in base_terms]
         parts = mass_matrix(ring, twists, kept), gravity_vector(ring, twists, kept)
-        return _in_coefficients(parts, lambda form: {i: fmpq(v) for (i, _), v in form.items()})
+        mass, weight = (
+            _rewritten(part, lambda form: {i: fmpq(v) for (i, _), v in form.items()})
+            for part in parts
+        )
+        return mass, weight
 
     tables = Tables(ring, None, elements)
     return Algebra(robot, "numeric", ring, terms, coefficients, base_terms, tables)
+
+
+def _with_name_first(form: Form, terms: Sequence[InertialTerm]) -> list[Addend]:
+    """Return a base parameter's addends; the term that it is named after comes first."""
+    addends = _addends({(index, ()): value for index, value in form.items()}, terms, ())
+    return sorted(addends, key=lambda addend: addend.factor != 1)
 
 
 def _with_symbols(
@@ -203,50 +226,43 @@ def _with_symbols(
         return _addends(form, terms, ring.constants)
 
     def label(form: Form) -> str:
-        return expression(addends(form))
+        return sum_text((addend.factor, addend.label) for addend in addends(form))
 
     # Symbolic constants are in every form's key, so elements of M and G never share one.
     known = {index for index, term in enumerate(terms) if term.known is not None}
-    mass_basis = Basis(_forms(mass), label, lambda key: key[0] in known)
-    gravity_basis = Basis(_forms(weight), label, lambda key: key[0] in known)
     numbering = robot.numbering if lengths == "symbolic" else None  # published for symbols
-    forms = mass_basis.forms + gravity_basis.forms
-    if lengths == "symbolic":
-        order = [*_published_order(mass_basis, mass, numbering and numbering.mass, ring)]
-        order += [
-            (len(mass_basis.forms) + index, scale)
-            for index, scale in _published_order(
-                gravity_basis, weight, numbering and numbering.gravity, ring
-            )
-        ]
-    else:  # multiples of numbers are no integers: each coefficient begins with its first term
-        order = [(index, 1 / form[min(form)]) for index, form in enumerate(forms)]
     accelerations = tuple(symbol for symbol, _ in gravity if symbol)
-    coefficients: list[Coefficient] = [None] * len(order)  # type: ignore[list-item]
-    for form, (index, scale) in zip(forms, order, strict=True):
-        group = "mass" if index < len(mass_basis.forms) else "gravity"
-        number = index + 1 if group == "mass" else index + 1 - len(mass_basis.forms)
-        scaled = {key: value * scale for key, value in form.items()}
-        coefficients[index] = _coefficient(
-            f"k{group[0].upper()}{number}", group, scaled, terms, robot, accelerations, addends
-        )
+    coefficients: list[Coefficient] = []
+    rewrites: list[Callable[[Form], Form]] = []
+    for group, part in (("mass", mass), ("gravity", weight)):
+        basis = Basis(_forms(part), label, lambda key: key[0] in known)
+        if lengths == "symbolic":
+            order = _published_order(basis, part, numbering and getattr(numbering, group), ring)
+        else:  # multiples of numbers are no integers: each coefficient begins with its first term
+            order = [(i, 1 / form[min(form)]) for i, form in enumerate(basis.forms)]
+        rewrites.append(_rewriting(basis, order, len(coefficients)))
+        for form, (index, scale) in sorted(
+            zip(basis.forms, order, strict=True), key=lambda entry: entry[1][0]
+        ):
+            scaled = {key: value * scale for key, value in form.items()}
+            name = f"k{group[0].upper()}{index + 1}"
+            coefficients.append(_coefficient(name, group, addends(scaled), robot, accelerations))
 
     def elements() -> tuple[dict[Column, Element], dict[Column, Element]]:
-        offset = len(mass_basis.forms)
-
-        def rewrite(basis: Basis, shift: int) -> Callable[[Form], Form]:
-            return lambda form: {
-                order[shift + index][0]: value / order[shift + index][1]
-                for index, value in basis.combination(form).items()
-            }
-
-        return (
-            _rewritten(mass, rewrite(mass_basis, 0)),
-            _rewritten(weight, rewrite(gravity_basis, offset)),
-        )
+        return _rewritten(mass, rewrites[0]), _rewritten(weight, rewrites[1])
 
     tables = Tables(ring, numbering, elements)
     return Algebra(robot, lengths, ring, terms, tuple(coefficients), (), tables)
+
+
+def _rewriting(
+    basis: Basis, order: Sequence[tuple[int, Any]], start: int
+) -> Callable[[Form], Form]:
+    """Return what writes forms in coefficients, which `start` at an index of the vector."""
+    return lambda form: {
+        start + order[index][0]: value / order[index][1]
+        for index, value in basis.combination(form).items()
+    }
 
 
 def _kept(robot: Manipulator, lengths: Lengths) -> dict[str, Length]:
@@ -320,12 +336,6 @@ def _forms(elements: Mapping[Any, Element]) -> list[Form]:
     return [form for element in elements.values() for form in element.values()]
 
 
-def _in_coefficients(
-    parts: tuple[Mapping[Any, Element], Mapping[Any, Element]], rewrite: Callable[[Form], Form]
-) -> tuple[dict[Column, Element], dict[Column, Element]]:
-    return _rewritten(parts[0], rewrite), _rewritten(parts[1], rewrite)
-
-
 def _rewritten(
     elements: Mapping[Any, Element], rewrite: Callable[[Form], Form]
 ) -> dict[Column, Element]:
@@ -381,24 +391,16 @@ def _addends(
 def _coefficient(
     name: str,
     group: str,
-    form: Form,
-    terms: Sequence[InertialTerm],
+    addends: Sequence[Addend],
     robot: Manipulator,
-    accelerations: Sequence[str],
-    addends_of: Callable[[Form], tuple[Addend, ...]] | None = None,
+    accelerations: Sequence[str] = (),
 ) -> Coefficient:
-    if addends_of is None:
-        addends = _addends({(index, ()): value for index, value in form.items()}, terms, ())
-        # The term that the parameter is named after comes first.
-        addends = tuple(sorted(addends, key=lambda addend: addend.factor != 1))
-    else:
-        addends = addends_of(form)
     kind = robot.joints[addends[0].term.link].kind
     return Coefficient(
         name,
         group,
-        expression(addends),
+        sum_text((addend.factor, addend.label) for addend in addends),
         unit_of(addends[0], prismatic=kind == "P", gravity=accelerations),
         positive_by_construction(addends, accelerations),
-        addends,
+        tuple(addends),
     )

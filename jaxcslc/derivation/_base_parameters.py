@@ -5,27 +5,27 @@ the same for the forms of the symbolic algebra (stage C.1.4).
 """
 
 import dataclasses
+import functools
 import math
 import random
 from collections.abc import Callable, Collection, Iterable, Sequence
-from math import gcd, lcm
 from typing import Any
 
 from flint import arb, arb_mat, ctx, fmpq, fmpq_mat, fmpz_mod_ctx, fmpz_mod_mat
 
 from ..manipulator import Manipulator
-from ._chain import Chain, link_twists
-from ._exact import exact_number
-from ._inertial_terms import BODY, InertialTerm, gravity_factors, kinetic_factors
-from ._lagrange import Form
+from ._chain import Chain, LinkTwists, exact_number, link_twists
+from ._lagrange import BODY, Form, InertialTerm, gravity_factors, kinetic_factors
 
 
 # Parameters that are regrouped into others where that is possible, as the identification
 # literature does (Gautier and Khalil 1990): mass, then the third first moment, then one moment.
 _REGROUPED_LAST = {"Iyy": 1, "hz": 2, "m": 3}
 _SEED = 1990
-# A Mersenne prime for exact arithmetic and another to test its result under.
-_PRIME, _CHECK = 2**521 - 1, 2**607 - 1
+_PRIME = 2**521 - 1  # a Mersenne prime
+# Of numerators and denominators that are read back from residues: by chance, a residue is that of a
+# fraction this short once in 2^(521 - 2 * 200).
+_LONGEST = 2**200
 _BITS = 1024  # of ball arithmetic, where fractions are longer than the prime
 _IDLE = 3  # positions that add nothing, after which the span is complete
 
@@ -47,9 +47,9 @@ def base_parameters(
     in arithmetic modulo a large prime: it is as exact as that of rationals and does not swell.
     (Rationals of arbitrary angles grow to thousands of digits in elimination: 8 s for a tree of
     7 joints where this takes a fraction of one.) The combinations are then read back as the
-    simplest fractions of their residues and tested at one more position, under another
-    prime. Where angles are arbitrary the fractions are longer than that; then they are computed
-    as numbers, in ball arithmetic that bounds its own rounding, and rounded once.
+    simplest fractions of their residues. Where angles are arbitrary the fractions are too long for
+    that; then they are computed as numbers, in ball arithmetic that bounds its own rounding, and
+    rounded once.
 
     Positions are drawn from a fixed seed; a set that misses part of the span is a zero of a
     polynomial that does not vanish identically. Building it from the coefficients of the
@@ -63,12 +63,11 @@ def base_parameters(
     """
     order = sorted(range(len(terms)), key=lambda index: _preference(terms[index], index))
     forms = _Forms(robot, chain, terms, order)
-    rows, pivots, built_from = _echelon_form(forms, _PRIME)
+    rows, pivots, built_from = _echelon_form(forms)
     fractions = [
-        {column: _fraction(int(x), _PRIME) for column, x in enumerate(row) if x != 0}
-        for row in rows
+        {column: _fraction(int(x)) for column, x in enumerate(row) if x != 0} for row in rows
     ]
-    if not _span_forms(forms, pivots, fractions):
+    if any(max(abs(top), bottom) > _LONGEST for row in fractions for top, bottom in row.values()):
         fractions = _in_balls(forms, pivots, fractions, built_from)
     combinations = [
         {order[column]: fmpq(*fraction) for column, fraction in row.items()} for row in fractions
@@ -88,19 +87,73 @@ class _Forms:
     order: Sequence[int]
 
     def at_random_position(self, draw: random.Random, field: Callable[[int], Any]) -> list[Row]:
-        """The forms' coefficients at one position, as numbers of a field."""
-        return _forms_at_random_position(
-            self.robot, self.chain, self.terms, self.order, draw, field
+        """Return the coefficients of all forms at one position, as numbers of a field."""
+
+        def number(x: Any) -> Any:
+            return field(int(x.numerator)) / field(int(x.denominator))
+
+        def anywhere() -> Any:
+            return field(draw.randrange(1, 2**20)) / field(2**19)
+
+        cosines: list[Any] = []
+        sines: list[Any] = []
+        for _ in self.chain.angles:
+            t = anywhere()
+            cosines.append((1 - t * t) / (1 + t * t))
+            sines.append(2 * t / (1 + t * t))
+        joints = self.robot.joints
+        a, d, b = (
+            [number(exact_number(getattr(joint, letter).value or 0.0)) for joint in joints]
+            for letter in "adb"
         )
+        twists = link_twists(
+            self.chain.in_numbers(number),
+            cosines=cosines,
+            sines=sines,
+            a=a,
+            d=[
+                offset + anywhere() if joint.kind == "P" else offset
+                for joint, offset in zip(joints, d, strict=True)
+            ],
+            b=b,
+            gravity=tuple(number(exact_number(g)) for g in self.robot.gravity),  # type: ignore[arg-type]
+        )
+        zero, n, needed = field(0), len(twists), set[str](BODY)
+        terms = [self.terms[index] for index in self.order]
+        bodies = [
+            [(entry, x if isinstance(x, int) else number(x)) for entry, x in term.body]
+            for term in terms
+        ]
+        links = sorted({term.link for term in terms if term.body})
+        motors = {x.link: column for column, x in enumerate(terms) if x.factors == ("motor",)}
+
+        def row(first: int, factors_of: Callable[[LinkTwists], dict[str, Any]]) -> Row:
+            factors = {link: factors_of(twists[link]) for link in links if link >= first}
+            return [
+                sum((x * factors[term.link].get(entry, 0) for entry, x in body), zero)
+                if term.link >= first
+                else zero
+                for term, body in zip(terms, bodies, strict=True)
+            ]
+
+        rows: list[Row] = []
+        for j in range(n):
+            for k in range(j, n):
+                entries = row(k, lambda twist, j=j, k=k: kinetic_factors(twist, j, k, needed))
+                if j == k and j in motors:
+                    entries[motors[j]] = field(1)
+                rows.append(entries)
+            rows.append(row(j, lambda twist, j=j: gravity_factors(twist, j, needed)))
+        return rows
 
 
-def _echelon_form(forms: _Forms, prime: int) -> tuple[list[Row], list[int], list[Row]]:
-    """The span's reduced row echelon form modulo a prime.
+def _echelon_form(forms: _Forms) -> tuple[list[Row], list[int], list[Row]]:
+    """The span's reduced row echelon form modulo the prime.
 
     **Returns** its rows, their pivot columns, and the forms at the positions that it was built
     from, one after the other.
     """
-    draw, field = random.Random(_SEED), fmpz_mod_ctx(prime)
+    draw, field = random.Random(_SEED), fmpz_mod_ctx(_PRIME)
     weights = random.Random(_SEED + 2)
     rows: list[Row] = []
     seen: list[Row] = []
@@ -110,7 +163,7 @@ def _echelon_form(forms: _Forms, prime: int) -> tuple[list[Row], list[int], list
         new = forms.at_random_position(draw, field)
         seen += new
         # A combination of all forms, with random weights, is outside the span if one of them is.
-        combination = fmpz_mod_mat([[field(weights.randrange(prime)) for _ in new]], field)
+        combination = fmpz_mod_mat([[field(weights.randrange(_PRIME)) for _ in new]], field)
         one = (combination * fmpz_mod_mat(new, field)).tolist()
         if fmpz_mod_mat([*rows, *one], field).rref()[1] == len(rows):
             idle += 1
@@ -124,26 +177,6 @@ def _echelon_form(forms: _Forms, prime: int) -> tuple[list[Row], list[int], list
 
 def _first_not_zero(row: Row) -> int:
     return next(column for column, x in enumerate(row) if x != 0)
-
-
-def _span_forms(
-    forms: _Forms, pivots: Sequence[int], fractions: Sequence[dict[int, tuple[int, int]]]
-) -> bool:
-    """Return whether the combinations span the forms at a new position, modulo another prime."""
-    field = fmpz_mod_ctx(_CHECK)
-    combinations = [
-        {column: field(top) / field(bottom) for column, (top, bottom) in row.items()}
-        for row in fractions
-    ]
-    for form in forms.at_random_position(random.Random(_SEED + 1), field):
-        remainder = list(form)
-        for pivot, combination in zip(pivots, combinations, strict=True):
-            if form[pivot] != 0:
-                for column, x in combination.items():
-                    remainder[column] = remainder[column] - form[pivot] * x
-        if any(x != 0 for x in remainder):
-            return False
-    return True
 
 
 def _in_balls(
@@ -179,10 +212,10 @@ def _in_balls(
         ]
 
 
-def _fraction(residue: int, prime: int) -> tuple[int, int]:
+def _fraction(residue: int) -> tuple[int, int]:
     """The fraction of smallest numerator and denominator that leaves this residue (Wang 1981)."""
-    bound = math.isqrt(prime // 2)
-    before, now, factor_before, factor = prime, residue, 0, 1
+    bound = math.isqrt(_PRIME // 2)
+    before, now, factor_before, factor = _PRIME, residue, 0, 1
     while now > bound:
         quotient = before // now
         before, now = now, before - quotient * now
@@ -199,80 +232,7 @@ def _preference(term: InertialTerm, index: int) -> tuple[int, int]:
     return (last if len(term.body) == 1 else 0), index
 
 
-def _forms_at_random_position(
-    robot: Manipulator,
-    chain: Chain,
-    terms: Sequence[InertialTerm],
-    order: Sequence[int],
-    draw: random.Random,
-    field: Any,
-) -> list[list[Any]]:
-    """Coefficients of `terms`, in `order`, in every element of M and G at one position."""
-
-    def number(x: Any) -> Any:
-        return field(int(x.numerator)) / field(int(x.denominator))
-
-    def anywhere() -> Any:
-        return field(draw.randrange(1, 2**20)) / field(2**19)
-
-    cosines: list[Any] = []
-    sines: list[Any] = []
-    for _ in chain.angles:
-        t = anywhere()
-        cosines.append((1 - t * t) / (1 + t * t))
-        sines.append(2 * t / (1 + t * t))
-    zero = field(0)
-    a, d, b = (
-        [number(exact_number(getattr(joint, letter).value or 0.0)) for joint in robot.joints]
-        for letter in "adb"
-    )
-    twists = link_twists(
-        chain.in_numbers(number),
-        cosines=cosines,
-        sines=sines,
-        a=a,
-        d=[
-            offset + anywhere() if joint.kind == "P" else offset
-            for joint, offset in zip(robot.joints, d, strict=True)
-        ],
-        b=b,
-        gravity=tuple(number(exact_number(g)) for g in robot.gravity),  # type: ignore[arg-type]
-    )
-    n, needed = len(twists), set[str](BODY)
-    columns = {index: column for column, index in enumerate(order)}
-    rows: list[list[Any]] = []
-
-    def row(first: int, factors_of: Any) -> list[Any]:
-        entries = [zero] * len(terms)
-        cache: dict[int, dict[str, Any]] = {}
-        for index, term in enumerate(terms):
-            if term.link >= first and term.body:
-                factors = cache.setdefault(term.link, {}) or factors_of(twists[term.link])
-                cache[term.link] = factors
-                total = sum(
-                    (
-                        (multiple if isinstance(multiple, int) else number(multiple))
-                        * factors.get(entry, 0)
-                        for entry, multiple in term.body
-                    ),
-                    zero,
-                )
-                entries[columns[index]] = total
-        return entries
-
-    for j in range(n):
-        for k in range(j, n):
-            entries = row(k, lambda twist, j=j, k=k: kinetic_factors(twist, j, k, needed))
-            if j == k:
-                for index, term in enumerate(terms):
-                    if term.factors == ("motor",) and term.link == j:
-                        entries[columns[index]] = field(1)
-            rows.append(entries)
-        rows.append(row(j, lambda twist, j=j: gravity_factors(twist, j, needed)))
-    return rows
-
-
-_LARGEST_DENOMINATOR = 1000
+_LARGEST_DENOMINATOR = 1000  # of a common measure of multiples
 Direction = tuple[tuple[Any, Any], ...]
 
 
@@ -309,55 +269,28 @@ class Basis:
             multiples.setdefault(key, []).append(multiple)
         for form in _known_combinations([dict(key) for key in multiples], known):
             multiples.setdefault(direction(form)[0], [fmpq(1)])
-        candidates: list[tuple[Direction, Any]] = [
-            (key, _unit(factors)) for key, factors in multiples.items()
+        candidates = [
+            (key, unit, {name: value * unit for name, value in key})
+            for key, unit in ((key, _unit(factors)) for key, factors in multiples.items())
         ]
         candidates.sort(
-            key=lambda item: (
-                not all(known(key) for key, _ in item[0]),
-                len(item[0]),
-                label(_scaled(*item)),
-            )
+            key=lambda item: (not all(map(known, item[2])), len(item[2]), label(item[2]))
         )
-        self.forms: list[Form] = []
-        # Echelon rows: leading key -> (row, the same row as a combination of basis forms).
-        self._rows: dict[Any, tuple[Form, dict[int, Any]]] = {}
-        self._combinations: dict[Direction, dict[int, Any]] = {}
-        for key, unit in candidates:
-            form = _scaled(key, unit)
-            remainder, used = self._reduce(form)
-            if remainder:
-                index = len(self.forms)
-                self.forms.append(form)
-                self._combinations[key] = {index: 1 / unit}
-                combination = {i: -value for i, value in used.items()}
-                combination[index] = fmpq(1)
-                self._rows[min(remainder)] = remainder, combination
-            else:
-                self._combinations[key] = {i: value / unit for i, value in used.items()}
+        names = list(dict.fromkeys(name for *_, form in candidates for name in form))
+        columns = [[form.get(name, 0) for *_, form in candidates] for name in names]
+        # Columns of pivots are the first that are independent; others are written in them.
+        echelon, rank = fmpq_mat(columns).rref() if columns else (fmpq_mat(0, 0), 0)
+        pivots = [_first_not_zero(row) for row in echelon.tolist()[:rank]]
+        self.forms: list[Form] = [candidates[column][2] for column in pivots]
+        self._combinations: dict[Direction, dict[int, Any]] = {
+            key: {i: x / unit for i in range(rank) if (x := echelon[i, column])}
+            for column, (key, unit, _) in enumerate(candidates)
+        }
 
     def combination(self, form: Form) -> dict[int, Any]:
-        """`form` as {index of basis form: rational}."""
+        """Return `form` as {index of basis form: rational}."""
         key, multiple = direction(form)
         return {index: multiple * value for index, value in self._combinations[key].items()}
-
-    def _reduce(self, form: Form) -> tuple[Form, dict[int, Any]]:
-        """Return the remainder of `form` after the rows so far, and the combination taken off."""
-        remainder, used = dict(form), {}
-        for lead in list(self._rows):
-            if lead in remainder:
-                row, combination = self._rows[lead]
-                factor = remainder[lead] / row[lead]
-                for key, value in row.items():
-                    total = remainder.get(key, 0) - factor * value
-                    if total:
-                        remainder[key] = total
-                    else:
-                        del remainder[key]
-                for index, value in combination.items():
-                    total = used.get(index, 0) + factor * value
-                    used[index] = total
-        return remainder, {index: value for index, value in used.items() if value}
 
 
 def _known_combinations(forms: list[Form], known: Callable[[Any], bool]) -> list[Form]:
@@ -374,18 +307,13 @@ def _known_combinations(forms: list[Form], known: Callable[[Any], bool]) -> list
     return [form for form in combinations if all(map(known, form))]
 
 
-def _scaled(key: Direction, unit: Any) -> Form:
-    return {name: value * unit for name, value in key}
+def _unit(multiples: Sequence[Any]) -> Any:
+    """Return the largest rational that all multiples are integers of, signed as the first.
 
-
-def _unit(multiples: list[Any]) -> Any:
-    """The largest rational that all multiples are integer multiples of, signed as the first."""
-    numerator, denominator = 0, 1
-    for multiple in multiples:
-        numerator = gcd(numerator, int(fmpq(multiple).numerator))
-        denominator = lcm(denominator, int(fmpq(multiple).denominator))
-    # The gcd of fractions p/q in lowest terms is gcd(p) / lcm(q). Where twists are arbitrary,
-    # multiples are cosines of them and have no common measure worth the name.
-    if denominator > _LARGEST_DENOMINATOR:
+    Where twists are arbitrary, multiples are cosines of them and have no common measure worth the
+    name: then it is the first.
+    """
+    measure = functools.reduce(fmpq.gcd, map(fmpq, multiples), fmpq(0))
+    if measure.denominator > _LARGEST_DENOMINATOR:
         return fmpq(multiples[0])
-    return fmpq(numerator if multiples[0] > 0 else -numerator, denominator)
+    return measure if multiples[0] > 0 else -measure

@@ -1,20 +1,67 @@
 """Kinematics of a robot, its axes grouped by parallelism, and the unit velocities of its links.
 
-The vector functions work over any kind of number: rationals, floats, arrays or expressions. They
+Decimals and angles become exact first: rationals, and rational points of the unit circle. The
+vector functions work over any kind of number: rationals, floats, arrays or expressions. They
 skip operations with zero and one, which right angles and zero lengths cause. `link_twists` gives
 what Eqn. 2.3-24 needs of the transforms.
 """
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from typing import Any, no_type_check
 
 from flint import fmpq
 
 from ..manipulator import Joint, Manipulator
-from ._exact import exact_cos_sin
+
+
+# Angles this close to a multiple of 90 degrees are taken as exactly that [rad].
+_RIGHT_ANGLE_TOLERANCE = 1e-9
+# A rational t = tan(angle / 2) of this denominator moves the angle by less than 1e-15 rad. (The
+# nearest fraction of a *bounded* denominator does not: beside a simple fraction there is a gap.)
+_TANGENT_DENOMINATOR = 2**52
+
+
+def exact_number(value: float):
+    """The rational that the shortest decimal of a float says: 0.4318 is 4318/10000.
+
+    >>> exact_number(0.25)
+    1/4
+    """
+    fraction = decimal_fraction(value)
+    return fmpq(fraction.numerator, fraction.denominator)
+
+
+def decimal_fraction(value: float) -> Fraction:
+    """Return the same rational as one of Python's."""
+    return Fraction(repr(float(value)))
+
+
+def exact_cos_sin(angle: float):
+    """Cosine and sine of an angle [rad] as a rational point of the unit circle.
+
+    Multiples of 90° are exact. Any other angle is replaced by the nearby one whose half has a
+    rational tangent t: ((1 - t²) / (1 + t²), 2 t / (1 + t²)), so that cos² + sin² = 1 holds
+    exactly and the algebra sees a true rotation; it differs from the given one by less than
+    1e-15 rad.
+
+    >>> exact_cos_sin(-math.pi / 2)
+    (0, -1)
+    """
+    quarter_turns = round(angle / (math.pi / 2))
+    if abs(angle - quarter_turns * (math.pi / 2)) < _RIGHT_ANGLE_TOLERANCE:
+        cos, sin = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter_turns % 4]
+        return fmpq(cos), fmpq(sin)
+    remainder = angle - quarter_turns * (math.pi / 2)
+    t = fmpq(round(math.tan(remainder / 2) * _TANGENT_DENOMINATOR), _TANGENT_DENOMINATOR)
+    cos, sin = (1 - t * t) / (1 + t * t), 2 * t / (1 + t * t)
+    for _ in range(quarter_turns % 4):
+        cos, sin = -sin, cos
+    return cos, sin
 
 
 # Vectors of any kind of number: rationals, polynomials, arrays, expressions. Zeros that are part of
@@ -88,44 +135,23 @@ def product(matrix: Matrix, x: Vector) -> Vector:
     return dot(matrix[0], x), dot(matrix[1], x), dot(matrix[2], x)
 
 
-def rotate_x(x: Vector, rotation: Rotation) -> Vector:
-    """Rot(x, angle) times a vector."""
-    c, s = rotation
-    return (
-        x[0],
-        plus(times(c, x[1]), minus(times(s, x[2]))),
-        plus(times(s, x[1]), times(c, x[2])),
-    )
+_PLANES = {"x": (1, 2), "z": (0, 1)}  # that rotations about an axis turn, and in which direction
 
 
-def rotate_z(x: Vector, rotation: Rotation) -> Vector:
-    """Rot(z, angle) times a vector."""
-    c, s = rotation
-    return (
-        plus(times(c, x[0]), minus(times(s, x[1]))),
-        plus(times(s, x[0]), times(c, x[1])),
-        x[2],
-    )
+def rotate(axis: str, x: Vector, rotation: Rotation) -> Vector:
+    """Rot(axis, angle) times a vector."""
+    (i, j), (c, s), turned = _PLANES[axis], rotation, list(x)
+    turned[i] = plus(times(c, x[i]), minus(times(s, x[j])))
+    turned[j] = plus(times(s, x[i]), times(c, x[j]))
+    return turned[0], turned[1], turned[2]
 
 
-def unrotate_x(x: Vector, rotation: Rotation) -> Vector:
-    """Rot(x, -angle) times a vector: its components in axes that are rotated by the angle."""
-    c, s = rotation
-    return (
-        x[0],
-        plus(times(c, x[1]), times(s, x[2])),
-        plus(times(c, x[2]), minus(times(s, x[1]))),
-    )
-
-
-def unrotate_z(x: Vector, rotation: Rotation, reduce: Reduce = unchanged) -> Vector:
-    """Rot(z, -angle) times a vector: its components in axes that are rotated by the angle."""
-    c, s = rotation
-    return (
-        reduce(plus(times(c, x[0]), times(s, x[1]))),
-        reduce(plus(times(c, x[1]), minus(times(s, x[0])))),
-        x[2],
-    )
+def unrotate(axis: str, x: Vector, rotation: Rotation, reduce: Reduce = unchanged) -> Vector:
+    """Rot(axis, -angle) times a vector: its components in axes that are rotated by the angle."""
+    (i, j), (c, s), turned = _PLANES[axis], rotation, list(x)
+    turned[i] = reduce(plus(times(c, x[i]), times(s, x[j])))
+    turned[j] = reduce(plus(times(c, x[j]), minus(times(s, x[i]))))
+    return turned[0], turned[1], turned[2]
 
 
 def compose(first: Rotation, second: Rotation, sign: int = 1) -> Rotation:
@@ -294,9 +320,7 @@ def link_twists(
     - `gravity`: gravity vector in the base frame.
     - `reduce`: brings a product of polynomials into normal form.
 
-    **Returns**
-
-    - One `LinkTwists` a link.
+    **Returns** one `LinkTwists` a link.
     """
     # For every link: Jacobian columns and gravity in the axes of its group of parallel axes, and
     # the rotation from there about the common axis.
@@ -325,9 +349,9 @@ def link_twists(
                 plus(times(cos_twist, d[i]), b[i]),
             )
             linear = _moved(angular, linear, step, reduce)
-            angular = [unrotate_x(w, link.twist) for w in angular]
-            linear = [unrotate_x(v, link.twist) for v in linear]
-            weight = unrotate_x(weight, link.twist)
+            angular = [unrotate("x", w, link.twist) for w in angular]
+            linear = [unrotate("x", v, link.twist) for v in linear]
+            weight = unrotate("x", weight, link.twist)
         if link.angle is None:
             turn = link.offset
         else:
@@ -359,5 +383,5 @@ def _into_frame(x: Vector, turn: Rotation, side: int, reduce: Reduce) -> Vector:
 
     This is Rot(z, -angle), then a flip.
     """
-    along, across, axial = unrotate_z(x, turn, reduce)
+    along, across, axial = unrotate("z", x, turn, reduce)
     return (along, across, axial) if side > 0 else (along, minus(across), minus(axial))

@@ -9,7 +9,7 @@ from typing import Literal
 from flint import fmpq, fmpq_mat
 
 from ._algebra import Algebra
-from ._inertial_terms import InertialTerm
+from ._lagrange import InertialTerm
 
 
 Identifiability = Literal["alone", "only in combinations", "not at all"]
@@ -64,11 +64,9 @@ def structural_identifiability(algebra: Algebra) -> tuple[StructuralIdentifiabil
 
     Friction is not part of the link parameters: each of its coefficients can be identified alone.
 
-    **Returns**
-
-    - One row for each link parameter, or product of parameters, that the robot has, in the order
-      of `algebra.terms`: for full inertia tensors `Ixx` to `Iyz` about the link frame's origin,
-      first moments and mass, then motor inertias.
+    **Returns** one row for each link parameter, or product of parameters, that the robot has, in
+    the order of `algebra.terms`: for full inertia tensors `Ixx` to `Iyz` about the link frame's
+    origin, first moments and mass, then motor inertias.
 
     >>> from jaxcslc.manipulator import puma560
     >>> from jaxcslc.derivation import derive_algebra, structural_identifiability

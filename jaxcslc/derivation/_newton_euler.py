@@ -18,11 +18,9 @@ from ._chain import (
     cross,
     dot,
     product,
-    rotate_x,
-    rotate_z,
+    rotate,
     scale,
-    unrotate_x,
-    unrotate_z,
+    unrotate,
 )
 
 
@@ -50,11 +48,11 @@ class LinkFrame:
 
     def inwards(self, x: Vector) -> Vector:
         """A vector's components in the parent's axes, from those in the link's."""
-        return rotate_z(rotate_x(rotate_z(x, self.joint), self.twist), self.branch)
+        return rotate("z", rotate("x", rotate("z", x, self.joint), self.twist), self.branch)
 
     def outwards(self, x: Vector) -> Vector:
         """A vector's components in the link's axes, from those in the parent's."""
-        return unrotate_z(unrotate_x(unrotate_z(x, self.branch), self.twist), self.joint)
+        return unrotate("z", unrotate("x", unrotate("z", x, self.branch), self.twist), self.joint)
 
     def along(self, force: Vector, moment: Vector) -> Any:
         """The part of a wrench that the joint's motor bears."""
@@ -79,14 +77,12 @@ def link_frames(
     - `a`, `d`, `b`: lengths and offsets of each joint's row, the variable of a prismatic joint
       included.
 
-    **Returns**
-
-    - One frame a link.
+    **Returns** one frame a link.
     """
     frames: list[LinkFrame] = []
     for link, rotation, x, z, base in zip(chain.links, rotations, a, d, b, strict=True):
-        twisted = rotate_x((0, 0, z), link.twist)
-        step = rotate_z(add((x, 0, 0), twisted), link.branch)
+        twisted = rotate("x", (0, 0, z), link.twist)
+        step = rotate("z", add((x, 0, 0), twisted), link.branch)
         frames.append(
             LinkFrame(
                 link.parent,
@@ -138,7 +134,7 @@ class NewtonEuler:
     >>> straight = (1, 0)
     >>> frame = LinkFrame(-1, False, straight, straight, straight, (0, 0, 0))
     >>> arm = NewtonEuler((frame,), (0, Fraction(-981, 100), 0))
-    >>> arm.gravity_torque([[0, 0, 0, 0, 0, 0, 1, 0, 0, 2]])
+    >>> arm.torque([[0, 0, 0, 0, 0, 0, 1, 0, 0, 2]], [0], [0], [0])
     [Fraction(981, 100)]
     """
 
@@ -152,14 +148,18 @@ class NewtonEuler:
         qd: Sequence[Any],
         qdd: Sequence[Any],
     ) -> list[Any]:
-        """Torque of every joint."""
-        rigid = self._torque_of_bodies(bodies, self.states(qd, qdd))
-        return [x + motor * rate for x, motor, rate in zip(rigid, motors, qdd, strict=True)]
-
-    def gravity_torque(self, bodies: Sequence[Body]) -> list[Any]:
-        """Torque of every joint at rest."""
-        still = [0] * len(self.frames)
-        return self._torque_of_bodies(bodies, self.states(still, still))
+        """Torque of every joint: the wrench that moves each body, summed towards the base."""
+        states = self.states(qd, qdd)
+        wrenches = [_wrench(state, body) for state, body in zip(states, bodies, strict=True)]
+        torque: list[Any] = [0] * len(wrenches)
+        for i in reversed(range(len(wrenches))):
+            frame = self.frames[i]
+            torque[i] = frame.along(*wrenches[i])
+            if frame.parent >= 0:
+                force, moment = self._in_parent(i, *wrenches[i])
+                carried = wrenches[frame.parent]
+                wrenches[frame.parent] = add(carried[0], force), add(carried[1], moment)
+        return [x + motor * rate for x, motor, rate in zip(torque, motors, qdd, strict=True)]
 
     def mass_matrix(self, bodies: Sequence[Body], motors: Sequence[Any]) -> list[list[Any]]:
         """Mass matrix by composite rigid bodies, from the tips inwards (Walker and Orin 1982)."""
@@ -211,19 +211,6 @@ class NewtonEuler:
                 w, wd = (w[0], w[1], w[2] + rate), add(wd, relative)
             states.append(LinkState(w, wd, a, _spin(w, wd)))
         return states
-
-    def _torque_of_bodies(self, bodies: Sequence[Body], states: Sequence[LinkState]) -> list[Any]:
-        """The inward recursion: the wrench that moves each body, summed towards the base."""
-        wrenches = [_wrench(state, body) for state, body in zip(states, bodies, strict=True)]
-        torque: list[Any] = [0] * len(wrenches)
-        for i in reversed(range(len(wrenches))):
-            frame = self.frames[i]
-            torque[i] = frame.along(*wrenches[i])
-            if frame.parent >= 0:
-                force, moment = self._in_parent(i, *wrenches[i])
-                carried = wrenches[frame.parent]
-                wrenches[frame.parent] = add(carried[0], force), add(carried[1], moment)
-        return torque
 
     def _in_parent(self, i: int, force: Vector, moment: Vector) -> tuple[Vector, Vector]:
         """A wrench about link i's origin as one about its parent's."""

@@ -5,7 +5,7 @@ named constants. Equal functions are equal polynomials, because s² is replaced 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, no_type_check
@@ -16,6 +16,11 @@ from ._chain import Chain
 
 
 Monomial = tuple[int, ...]
+
+
+def product_text(powers: Iterable[tuple[str, int]]) -> str:
+    """Return a product of powers as it is printed: `"c23*c5^2"`."""
+    return "*".join(name if power == 1 else f"{name}^{power}" for name, power in powers if power)
 
 
 class SparsePolynomial(dict[Monomial, Any]):
@@ -228,12 +233,7 @@ class PositionRing:
 
     def label(self, monomial: Monomial) -> str:
         """A product as it is printed: `"c23*s4*c5^2"`, and `"1"` for the constant."""
-        parts = [
-            name if power == 1 else f"{name}^{power}"
-            for name, power in zip(self.variables, monomial, strict=True)
-            if power
-        ]
-        return "*".join(parts) or "1"
+        return product_text(zip(self.variables, monomial, strict=True)) or "1"
 
     def parse(self, label: str) -> Monomial | None:
         """The monomial that `label` names, factors in any order, or None if it is not one."""

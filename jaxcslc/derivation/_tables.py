@@ -1,14 +1,16 @@
 """Coefficients, inputs and links of a subnetwork, as the thesis's Appendix B tabulates them."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
+
+from flint import fmpq, fmpq_mat
 
 from ..manipulator import RobotError, Subnumbering
-from ._inertial_terms import InertialTerm
-from ._lagrange import Element
-from ._polynomials import Monomial, PositionRing
+from ._lagrange import Element, InertialTerm
+from ._polynomials import Monomial, PositionRing, product_text
 
 
 @dataclass(frozen=True)
@@ -22,8 +24,7 @@ class Addend:
     @property
     def label(self) -> str:
         """Addend without its rational factor, as in `"d4^2*m4"`."""
-        names = [name if power == 1 else f"{name}^{power}" for name, power in self.constants]
-        return "*".join([*names, self.term.label])
+        return "*".join([*filter(None, [product_text(self.constants)]), self.term.label])
 
 
 @dataclass(frozen=True, eq=False)  # compared by identity, like the table that indexes it
@@ -70,23 +71,19 @@ class Coefficient:
         )
 
 
-def expression(addends: Sequence[Addend]) -> str:
-    """A sum as it is printed, its rationals as decimals: `"Ixx4 - 0.5*m4*rz4"`."""
+def sum_text(addends: Iterable[tuple[Any, str]]) -> str:
+    """Return a sum as it is printed, its rationals as decimals: `"Ixx4 - 0.5*m4*rz4"`.
+
+    - `addends`: rational factors, and what they multiply; `""` for 1.
+    """
     text = ""
-    for addend in addends:
-        size = abs(addend.factor)
-        number = "" if size == 1 else f"{_decimal(size)}*"
-        sign = "-" if addend.factor < 0 else "+"
-        text += (
-            f" {sign} {number}{addend.label}"
-            if text
-            else (f"{'-' if sign == '-' else ''}{number}{addend.label}")
-        )
+    for factor, label in addends:
+        top, bottom = int(abs(factor).numerator), int(factor.denominator)
+        number = str(top) if bottom == 1 else repr(top / bottom)
+        part = "*".join(x for x in ("" if number == "1" and label else number, label) if x)
+        sign = "-" if factor < 0 else "+"
+        text += f" {sign} {part}" if text else part if sign == "+" else f"-{part}"
     return text
-
-
-def _decimal(value: Fraction) -> str:
-    return str(value.numerator) if value.denominator == 1 else repr(float(value))
 
 
 def unit_of(addend: Addend, *, prismatic: bool, gravity: Sequence[str]) -> str:
@@ -162,9 +159,7 @@ def table(
     Inputs are numbered as they are met, column by column, simple ones first; or as `published`
     lists them.
 
-    **Raises**
-
-    - `RobotError`: if the published inputs are not exactly those of the algebra.
+    **Raises** `RobotError` if the published inputs are not exactly those of the algebra.
     """
     inputs: dict[Monomial, int] = {}
     if published is not None and published.inputs:
@@ -209,3 +204,63 @@ def _published_inputs(
             f"numbering ({source}): input {ring.label(min(missing))!r} of this robot is not listed"
         )
     return inputs
+
+
+_MOMENTS = {"Ixx": ("y", "z"), "Iyy": ("x", "z"), "Izz": ("x", "y")}
+
+
+def positive_by_construction(addends: Sequence[Addend], gravity: Sequence[str]) -> bool:
+    """Return whether a coefficient is positive for every possible mass distribution (thesis 5.2.3).
+
+    Moments of inertia, first moments and mass of a link are integrals over its mass of products
+    of two of x, y, z and the lengths. So a link's share of a coefficient is the integral of a
+    quadratic form, which cannot be negative if the form is positive semidefinite. Shares of
+    different links, of moments about a centre of gravity and of motors add up.
+
+    Sufficient, and checked in exact arithmetic. It finds the four that the thesis names (kM4,
+    kM6, kM9 and kM11 of the PUMA 560) and others, such as complete squares.
+    """
+    forms: dict[tuple[int, bool], dict[tuple[str, str], Fraction]] = {}
+    for addend in addends:
+        lengths = [name for name, power in addend.constants for _ in range(power)]
+        if any(name in gravity for name in lengths):
+            return False
+        factors, link = addend.term.factors, addend.term.link
+        if factors == ("motor",):
+            if addend.factor < 0:
+                return False
+            continue
+        moment = factors[0].startswith("I")
+        # A principal moment is an integral about the centre of gravity: another form.
+        form = forms.setdefault((link, addend.term.central), {})
+        if factors[0] in _MOMENTS:
+            for axis in _MOMENTS[factors[0]]:
+                _add(form, axis, axis, addend.factor)
+        elif moment:  # a tensor's off-diagonal element is -∫ x y dm
+            _add(form, factors[0][1], factors[0][2], -addend.factor)
+        else:
+            variables = [factor[1] for factor in factors[1:]] + lengths
+            variables += ["1"] * (2 - len(variables))  # numeric lengths are in the factor
+            if len(variables) != 2:
+                return False
+            _add(form, variables[0], variables[1], addend.factor)
+    return all(_positive_semidefinite(form) for form in forms.values())
+
+
+def _add(form: dict[tuple[str, str], Fraction], a: str, b: str, value: Fraction) -> None:
+    """Add value * a * b to a form, stored as its symmetric matrix."""
+    for key in ((a, b), (b, a)):
+        form[key] = form.get(key, Fraction(0)) + value / 2
+
+
+def _positive_semidefinite(form: dict[tuple[str, str], Fraction]) -> bool:
+    """Return whether a form is positive semidefinite.
+
+    Its eigenvalues are real. By Descartes' rule of signs none is negative if, and only if, the
+    coefficients of the characteristic polynomial alternate in sign.
+    """
+    names = sorted({name for key in form for name in key})
+    entries = [[form.get((a, b), Fraction(0)) for b in names] for a in names]
+    matrix = fmpq_mat([[fmpq(x.numerator, x.denominator) for x in row] for row in entries])
+    coefficients = matrix.charpoly().coeffs()
+    return all(x * (-1) ** (len(names) - power) >= 0 for power, x in enumerate(coefficients))

@@ -15,6 +15,7 @@ from ._small_arms import (
     planar_arm as planar_arm,
     swing as swing,
     swing_recording as swing_recording,
+    tank as tank,
     turntable as turntable,
 )
 
@@ -27,6 +28,7 @@ __all__ = [
     "read_truth",
     "swing",
     "swing_recording",
+    "tank",
     "turntable",
     "write_example",
 ]

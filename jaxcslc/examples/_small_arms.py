@@ -1,4 +1,4 @@
-"""Small robots and exact motions of them, for docstrings, notebooks and tests."""
+"""Small robots, another system, and exact motions of them, for docstrings, notebooks and tests."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from ..manipulator import Manipulator
     from ..network import CSLC
     from ..recordings import Patterns, Recording
+    from ..systems import System, SystemRecording
 
 
 def pendulum(*friction: str) -> Manipulator:
@@ -91,6 +92,32 @@ def swing_recording(
 
     patterns = swing(network, k, samples=samples, time_step=time_step)
     return Recording(patterns.time, patterns.q, patterns.torque)
+
+
+def tank(samples: int = 1000) -> tuple[System, SystemRecording]:
+    """Return a tank that drains by the root of its level, and an exact recording of it.
+
+    Its area is 3 m², its outlet 0.5. The level moves by sin(t), `samples` samples 0.05 s apart.
+
+    >>> import jaxcslc as jc
+    >>> tank, recording = jc.examples.tank()
+    >>> tank.network.names, sorted(recording.columns)
+    (('area', 'outlet'), ['inflow', 'level'])
+    """
+    import sympy
+    from sympy.physics.mechanics import dynamicsymbols
+
+    from ..systems import Constant, System, SystemRecording, Variable
+
+    level, inflow = dynamicsymbols("level inflow")
+    area, outlet = sympy.symbols("area outlet")
+    balance = sympy.Eq(inflow, area * level.diff() + outlet * sympy.sqrt(level))
+    variables = (Variable(level, "m"), Variable(inflow, "m³/s"))
+    constants = (Constant(area, "m²", sign="positive"), Constant(outlet))
+    time = np.arange(samples) * 0.05
+    height = 2.0 + np.sin(time)
+    columns = {"level": height, "inflow": 3.0 * np.cos(time) + 0.5 * np.sqrt(height)}
+    return System("tank", {"volume": balance}, variables, constants), SystemRecording(time, columns)
 
 
 def _arm(

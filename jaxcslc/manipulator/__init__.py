@@ -9,16 +9,14 @@ Either gives a `Manipulator`, all that `jaxcslc.derivation` needs to know of a r
 
 Modules, in reading order:
 
-- `_joint`: one row of modified Denavit-Hartenberg parameters, lengths, numberings.
+- `_joint`: one row of modified Denavit-Hartenberg parameters, lengths, numberings; errors.
 - `_link_parameters`: inertial terms of a link, and measurable parameters of links and motors.
 - `_friction`: names of friction terms, coupled joints, and their checks.
-- `_source`: the file that a robot was read from, joint limits, joints that follow others.
-- `_manipulator`: the robot itself.
+- `_manipulator`: the robot itself, and the file that it was read from.
 - `_placement`: modified Denavit-Hartenberg rows of joints with any axes.
 - `files`: readers of robot files, and the bundled robots.
 """
 
-from ._errors import RobotError as RobotError
 from ._friction import (
     FRICTION_TERMS as FRICTION_TERMS,
     STATIC_SLOPE as STATIC_SLOPE,
@@ -28,6 +26,7 @@ from ._joint import (
     Joint as Joint,
     Length as Length,
     Numbering as Numbering,
+    RobotError as RobotError,
     Subnumbering as Subnumbering,
 )
 from ._link_parameters import (
@@ -37,9 +36,14 @@ from ._link_parameters import (
     motor_inertia as motor_inertia,
     seen_from as seen_from,
 )
-from ._manipulator import Manipulator as Manipulator
+from ._manipulator import (
+    JointLimits as JointLimits,
+    Manipulator as Manipulator,
+    Mimic as Mimic,
+    Mimics as Mimics,
+    Source as Source,
+)
 from ._placement import Axis as Axis, modified_dh as modified_dh
-from ._source import JointLimits as JointLimits, Mimic as Mimic, Mimics as Mimics, Source as Source
 from .files import (
     Element as Element,
     load_robot as load_robot,

@@ -6,7 +6,7 @@ The formulas of the terms are in `jaxcslc.network.terms`.
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from ._errors import RobotError
+from ._joint import RobotError
 
 
 FRICTION_TERMS = (
@@ -50,9 +50,7 @@ class Coupling(NamedTuple):
 def check_friction(terms: Sequence[str], where: str) -> None:
     """Check the kinds of a friction model.
 
-    **Raises**
-
-    - `RobotError`: for kinds that are unknown, listed twice or collinear.
+    **Raises** `RobotError` for kinds that are unknown, listed twice or collinear.
     """
     if unknown := [term for term in terms if term not in FRICTION_TERMS]:
         raise RobotError(
@@ -66,40 +64,11 @@ def check_friction(terms: Sequence[str], where: str) -> None:
             raise RobotError(f"{where}: friction terms {first} and {second} exclude: {why}")
 
 
-def check_joint_friction(
-    terms_of_joints: Sequence[Sequence[str] | None] | None, joints: int, where: str
-) -> None:
-    """Check the friction models of single joints.
+def check_slopes(slopes: Sequence[float], where: str) -> None:
+    """Check slopes of static friction, one a joint.
 
-    **Raises**
-
-    - `RobotError`: unless there is an entry a joint, its kinds of friction or None.
+    **Raises** `RobotError` for one that is not positive and finite.
     """
-    if terms_of_joints is None:
-        return
-    if len(terms_of_joints) != joints:
-        raise RobotError(
-            f"{where}: expected {joints} entries of joint_friction, one a joint,"
-            f" got {len(terms_of_joints)}"
-        )
-    for i, terms in enumerate(terms_of_joints, start=1):
-        if terms is not None:
-            check_friction(terms, f"{where}, joint {i}")
-
-
-def check_slopes(slopes: Sequence[float] | None, joints: int, where: str) -> None:
-    """Check slopes of static friction.
-
-    **Raises**
-
-    - `RobotError`: unless there is a positive, finite slope a joint.
-    """
-    if slopes is None:
-        return
-    if len(slopes) != joints:
-        raise RobotError(
-            f"{where}: expected {joints} entries of static_slopes, one a joint, got {len(slopes)}"
-        )
     for i, slope in enumerate(slopes, start=1):
         if not 0 < slope < float("inf"):
             raise RobotError(
@@ -110,9 +79,7 @@ def check_slopes(slopes: Sequence[float] | None, joints: int, where: str) -> Non
 def couplings(pairs: Sequence[Sequence[Any]], kinds: str, where: str) -> tuple[Coupling, ...]:
     """Pairs of joints, counted from 1, with or without a ratio.
 
-    **Raises**
-
-    - `RobotError`: for anything but two different joints of one kind, once.
+    **Raises** `RobotError` for anything but two different joints of one kind, once.
     """
     checked: list[Coupling] = []
     for pair in pairs:

@@ -1,21 +1,21 @@
 """One row of modified Denavit-Hartenberg parameters, with its lengths, angles and numberings.
 
-`modified_dh_joints` makes joints of rows and checks them. `joint_table` is the pandas table of
-`Manipulator.to_pandas` (thesis 2.6.1).
+`parsed_joint` checks the entries of a row, `modified_dh_joints` whole tables of them.
 """
 
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
-
-from .._environment import require
-from ._errors import RobotError
+from typing import Any, Literal
 
 
-if TYPE_CHECKING:
-    from ._manipulator import Manipulator
+class RobotError(ValueError):
+    """A robot description that cannot be read, is contradictory, or is incomplete.
+
+    The message is one line: which file or argument, which joint or key, what it is and what
+    was expected.
+    """
 
 
 JointKind = Literal["R", "P"]
@@ -93,10 +93,8 @@ class Joint:
 def parse_angle(value: object, where: str) -> float:
     """An angle [rad] from a number or from a multiple of pi as text, as in `"-pi/2"`.
 
-    **Raises**
-
-    - `RobotError`: if `value` is neither, or an angle of more than two turns, as one in degrees;
-      `where` says which entry it was.
+    **Raises** `RobotError` if `value` is neither, or an angle of more than two turns, as one in
+    degrees; `where` says which entry it was.
 
     >>> parse_angle("-pi/2", "alpha of joint 2")
     -1.5707963267948966
@@ -131,9 +129,7 @@ def parse_length(value: object, lengths: dict[str, float], where: str) -> Length
 
     A symbol is letters followed by an optional number, as in `a2`.
 
-    **Raises**
-
-    - `RobotError`: if `value` is neither; `where` says which entry it was.
+    **Raises** `RobotError` if `value` is neither; `where` says which entry it was.
 
     >>> parse_length("a2", {"a2": 0.4318}, "a of joint 3")
     Length(value=0.4318, symbol='a2')
@@ -163,9 +159,7 @@ def finite_number(value: object) -> float | None:
 def length_table(values: Mapping[str, object], where: str) -> dict[str, float]:
     """Named lengths and their values [m], checked.
 
-    **Raises**
-
-    - `RobotError`: naming the length.
+    **Raises** `RobotError`, naming the length.
     """
     table: dict[str, float] = {}
     for symbol, value in values.items():
@@ -185,13 +179,31 @@ def length_table(values: Mapping[str, object], where: str) -> dict[str, float]:
 def unused_lengths(values: Mapping[str, float], joints: Iterable[Joint], where: str) -> None:
     """Check that joints use all named lengths.
 
-    **Raises**
-
-    - `RobotError`: if a named length is not used by any joint.
+    **Raises** `RobotError` if a named length is not used by any joint.
     """
     used = {length.symbol for joint in joints for _, _, length in joint.lengths}
     if unused := sorted(set(values) - used):
         raise RobotError(f"{where}: {unused[0]!r} is not used by any joint")
+
+
+def parsed_joint(entries: Mapping[str, Any], lengths: dict[str, float], where: str) -> Joint:
+    """Return the joint of a row's entries: kind, parent, and parameters, zero where left out.
+
+    **Raises** `RobotError`, naming the entry that is wrong.
+    """
+    kind, parent = entries.get("kind", "R"), entries.get("parent")
+    if kind not in ("R", "P"):
+        raise RobotError(f"{where}, kind: expected 'R' (revolute) or 'P' (prismatic), got {kind!r}")
+    if parent is not None and (isinstance(parent, bool) or not isinstance(parent, int)):
+        raise RobotError(
+            f"{where}, parent: expected the number of a joint, or 0 for the base, got {parent!r}"
+        )
+    alpha, theta, gamma = (
+        parse_angle(entries.get(name, 0), f"{where}, {name}")
+        for name in ("alpha", "theta", "gamma")
+    )
+    a, d, b = (parse_length(entries.get(x, 0), lengths, f"{where}, {x}") for x in ("a", "d", "b"))
+    return Joint(kind, alpha, a, d, theta, gamma, b, parent)
 
 
 def modified_dh_joints(
@@ -208,9 +220,7 @@ def modified_dh_joints(
     - `rows`, `parents`, `kinds`, `lengths`: as of `Manipulator.from_modified_dh`.
     - `where`: what messages name, as in `"robot 'arm'"`.
 
-    **Raises**
-
-    - `RobotError`: naming the joint and the entry that is wrong.
+    **Raises** `RobotError`, naming the joint and the entry that is wrong.
     """
     kinds = "R" * len(rows) if kinds is None else kinds
     if len(kinds) != len(rows) or set(kinds) - {"R", "P"}:
@@ -227,19 +237,10 @@ def modified_dh_joints(
                 f"{where}, joint {i}: expected (alpha, a, d, theta) or"
                 f" (alpha, a, d, theta, gamma, b), got {row!r}"
             )
-        at = f"{where}, joint {i}"
-        joints.append(
-            Joint(
-                "P" if kind == "P" else "R",
-                parse_angle(row[0], f"{at}, alpha"),
-                parse_length(row[1], values, f"{at}, a"),
-                parse_length(row[2], values, f"{at}, d"),
-                parse_angle(row[3], f"{at}, theta"),
-                parse_angle(row[4], f"{at}, gamma") if len(row) == 6 else 0.0,
-                parse_length(row[5] if len(row) == 6 else 0, values, f"{at}, b"),
-                None if parents is None else int(parents[i - 1]),
-            )
-        )
+        entries = dict(zip(("alpha", "a", "d", "theta", "gamma", "b"), row, strict=False))
+        parent = None if parents is None else int(parents[i - 1])
+        of_row = {**entries, "kind": kind, "parent": parent}
+        joints.append(parsed_joint(of_row, values, f"{where}, joint {i}"))
     unused_lengths(values, joints, f"{where}, lengths")
     return tuple(joints)
 
@@ -253,33 +254,6 @@ def gravity_vector(gravity: Sequence[float | int], name: str) -> tuple[float, fl
     if not abs(x) + abs(y) + abs(z) < float("inf"):
         raise RobotError(f"robot {name!r}: gravity must be finite, got {gravity!r}")
     return x, y, z
-
-
-def joint_table(robot: "Manipulator") -> Any:
-    """Return the table of a robot, one row per joint: see `Manipulator.to_pandas`."""
-    pandas = require("pandas", "tables")
-
-    rows: list[dict[str, Any]] = []
-    for i, joint in enumerate(robot.joints):
-        row: dict[str, Any] = {"kind": joint.kind, "parent": robot.parents[i] + 1}
-        row |= {name: getattr(joint, name) for name in ("alpha", "theta", "gamma")}
-        row |= {letter: length.value for letter, _, length in joint.lengths}
-        if robot.source is not None:
-            row |= {"joint of file": robot.source.joints[i], "body": robot.source.links[i]}
-        if robot.links is not None:
-            link = robot.links[i]
-            row |= {"mass": float(link.mass), "motor inertia": float(link.motor_inertia)}
-            row |= {f"r{axis}": float(link.centre_of_gravity[a]) for a, axis in enumerate("xyz")}
-            row |= {
-                f"I{'xyz'[a]}{'xyz'[b]}": float(link.inertia[a, b])
-                for a in range(3)
-                for b in range(a, 3)
-            }
-        for term in ("viscous", "dry"):
-            values = getattr(robot, term)
-            row |= {} if values is None else {term: values[i]}
-        rows.append(row)
-    return pandas.DataFrame(rows, index=range(1, robot.joint_count + 1)).rename_axis("joint")
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._errors import RobotError
+from ._joint import RobotError
 
 
 InertiaForm = Literal["full", "principal"]

@@ -1,24 +1,25 @@
 """Robot as a chain or tree of rigid links, with its friction model and its file.
 
-A `Manipulator` is immutable. Its `with_...` methods return changed copies. Read with `_joint`,
-`_link_parameters`, `_friction` and `_source`, of whose objects it is made.
+A `Manipulator` is immutable. Its `with_...` methods return changed copies. Its `Source` says where
+it comes from: file, joint limits, joints that follow others. Read with `_joint`, `_link_parameters`
+and `_friction`, of whose objects it is made.
 """
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._errors import RobotError
+from .._environment import require
 from ._friction import (
     FRICTION_TERMS,
     Coupling,
     check_friction,
-    check_joint_friction,
     check_slopes,
     couplings,
 )
@@ -26,13 +27,95 @@ from ._joint import (
     Joint,
     Length,
     Numbering,
+    RobotError,
     Subnumbering,
     gravity_vector,
-    joint_table,
     modified_dh_joints,
 )
 from ._link_parameters import InertiaForm, LinkInertia, LinkParameters
-from ._source import JointLimits, Source
+
+
+RobotFormat = Literal["toml", "urdf", "mjcf"]
+Mimics = Literal["fix", "couple"]
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Limits of a joint according to the robot's file; infinite where the file states none.
+
+    **Attributes**
+
+    - `low`, `high`: of its position [rad or m].
+    - `speed`: [rad/s or m/s].
+    - `torque`: [N m or N].
+
+    >>> from jaxcslc.manipulator import JointLimits
+    >>> JointLimits(speed=2.2).torque
+    inf
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    speed: float = math.inf
+    torque: float = math.inf
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A joint that follows another: its position is `multiplier` times the other's plus `offset`.
+
+    **Attributes**
+
+    - `follower`, `leader`: names of the joints; the leader follows none.
+    - `multiplier`: [rad/rad, or m/rad of a finger that slides].
+    - `offset`: [rad or m].
+
+    >>> from jaxcslc.manipulator import Mimic
+    >>> Mimic("right finger", "left finger", -1.0).offset
+    0.0
+    """
+
+    follower: str
+    leader: str
+    multiplier: float
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """The file that a robot was read from, and how its links correspond to the file's bodies.
+
+    **Attributes**
+
+    - `path`, `format`: of the file.
+    - `base`, `tips`: the part of the file's tree that was asked for, as bodies' names.
+    - `fix`: joints and bodies that were to be fixed.
+    - `mimic`: what was to become of joints that mimic others.
+    - `fixed_joints`: joints that move in the file and are none of the robot's, taken as at zero.
+    - `joints`, `links`: for each joint of the robot, the file's joint and the body that it moves.
+    - `placements`: (4, 4) for each link, the pose of the file's body frame in the link's frame,
+      lengths in m.
+    - `carried`: for each link, all else that is fixed to the body, as one body in the link's
+      frame; or None.
+    - `limits`: of the joints; empty where the file has none.
+    - `mimics`: joints of the robot that follow others; empty unless they were asked for.
+    - `notes`: what of the file was not taken as it stands, a sentence each.
+    """
+
+    path: str
+    format: RobotFormat
+    joints: tuple[str, ...]
+    links: tuple[str, ...]
+    placements: tuple[Float[np.ndarray, "4 4"], ...]
+    carried: tuple[LinkParameters | None, ...]
+    base: str | None = None
+    tips: tuple[str, ...] = ()
+    fix: tuple[str, ...] = ()
+    fixed_joints: tuple[str, ...] = ()
+    limits: tuple[JointLimits, ...] = ()
+    mimics: tuple[Mimic, ...] = ()
+    mimic: Mimics | None = None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, repr=False)
@@ -79,7 +162,7 @@ class Manipulator:
         n = len(self.joints)
         if n == 0:
             raise RobotError(f"robot {self.name!r} has no joints")
-        for field in ("inertia", "links", "viscous", "dry"):
+        for field in ("inertia", "links", "viscous", "dry", "joint_friction", "static_slopes"):
             value = getattr(self, field)
             if value is not None and len(value) != n:
                 raise RobotError(
@@ -88,8 +171,10 @@ class Manipulator:
                 )
         where = f"robot {self.name!r}"
         check_friction(self.friction, where)
-        check_joint_friction(self.joint_friction, n, where)
-        check_slopes(self.static_slopes, n, where)
+        for i, terms in enumerate(self.joint_friction or (), start=1):
+            if terms is not None:
+                check_friction(terms, f"{where}, joint {i}")
+        check_slopes(self.static_slopes or (), where)
         object.__setattr__(self, "coupled", couplings(self.coupled, self.kinds, where))
         named = {
             length.symbol
@@ -213,9 +298,7 @@ class Manipulator:
         - `friction`: terms of the friction model, see `Manipulator`.
         - `lengths`: values of named lengths [m].
 
-        **Raises**
-
-        - `RobotError`: naming the joint and the entry that is wrong.
+        **Raises** `RobotError`, naming the joint and the entry that is wrong.
 
         >>> planar = Manipulator.from_modified_dh(
         ...     [(0, 0, 0, 0), (0, "a1", 0, 0)], gravity=(0, -9.81, 0), lengths={"a1": 0.5}
@@ -371,7 +454,29 @@ class Manipulator:
         >>> jc.puma560().to_pandas()[["alpha", "a", "mass"]].loc[3].tolist()
         [0.0, 0.4318, 4.8]
         """
-        return joint_table(self)
+        pandas = require("pandas", "tables")
+        rows: list[dict[str, Any]] = []
+        for i, joint in enumerate(self.joints):
+            row: dict[str, Any] = {"kind": joint.kind, "parent": self.parents[i] + 1}
+            row |= {name: getattr(joint, name) for name in ("alpha", "theta", "gamma")}
+            row |= {letter: length.value for letter, _, length in joint.lengths}
+            if self.source is not None:
+                row |= {"joint of file": self.source.joints[i], "body": self.source.links[i]}
+            if self.links is not None:
+                link = self.links[i]
+                row |= {"mass": float(link.mass), "motor inertia": float(link.motor_inertia)}
+                row |= {
+                    f"r{axis}": float(link.centre_of_gravity[a]) for a, axis in enumerate("xyz")
+                }
+                row |= {
+                    f"I{'xyz'[a]}{'xyz'[b]}": float(link.inertia[a, b])
+                    for a in range(3)
+                    for b in range(a, 3)
+                }
+            for term, values in (("viscous", self.viscous), ("dry", self.dry)):
+                row |= {} if values is None else {term: values[i]}
+            rows.append(row)
+        return pandas.DataFrame(rows, index=range(1, self.joint_count + 1)).rename_axis("joint")
 
     def __repr__(self) -> str:
         links = "known links" if self.links is not None else "unknown links"
@@ -387,9 +492,7 @@ class Manipulator:
         Lengths given as plain numbers are named by the thesis's convention: a of row i is
         a(i-1), d of row i is d(i).
 
-        **Raises**
-
-        - `RobotError`: if a named length has no value.
+        **Raises** `RobotError` if a named length has no value.
         """
         values: dict[str, float] = {}
         for symbol, length in self.named_lengths().items():

@@ -4,51 +4,57 @@
     TOML, SymPy              algebra                        ▲
                              recording ──► patterns ────────┘
 
-- `description`: variables, constants and equations; `_toml`: systems in files.
-- `_system`: the system and its stages; `algebra`: known variables apart from unknown constants.
-- `_network`, `_recording`, `_patterns`: network, recording and patterns of a system.
-- `_identify`, `_report`: identification and its result.
-- `_constants`, `_nonlinear`, `_projected_error`: physical constants, linear or searched.
-- `_noise_correction` and its neighbours: bias by measurement noise and smoothing.
+- `_description`: variables, constants and units; `_toml`: equations as text, systems in files.
+- `_system`: the system and its stages; equations of mechanical systems.
+- `_generators`, `_separation`: known variables apart from unknown constants, in exact algebra.
+- `_network`, `_recording`: network, recording and patterns of a system.
+- `_constants`: constants that follow from coefficients; `_search`: those that enter nonlinearly.
+- `_noise_correction`, `_smoothing_bias`: bias by measurement noise and by smoothing.
 - `_simulation`: the identified system beside a recording.
+- `_identify`, `_report`: identification and its result.
 """
 
 from ._constants import (
     ConstantEstimate as ConstantEstimate,
-    ConstantMinimum as ConstantMinimum,
-    ConstantSearch as ConstantSearch,
+    ConstantIdentifiability as ConstantIdentifiability,
     constants_from as constants_from,
 )
+from ._description import (
+    Constant as Constant,
+    DescriptionError as DescriptionError,
+    Variable as Variable,
+)
 from ._identify import identify_system as identify_system, system_settings as system_settings
-from ._measurement_noise import measurement_noise as measurement_noise
 from ._network import SystemNetwork as SystemNetwork, SystemTerm as SystemTerm
 from ._noise_correction import (
     NoiseCorrection as NoiseCorrection,
     correct_for_noise as correct_for_noise,
 )
-from ._nonlinear import search_constants as search_constants
-from ._patterns import system_derivatives as system_derivatives, system_patterns as system_patterns
 from ._recording import (
     SystemRecording as SystemRecording,
     load_system_recording as load_system_recording,
+    measurement_noise as measurement_noise,
+    system_derivatives as system_derivatives,
+    system_patterns as system_patterns,
 )
 from ._report import (
     SystemReport as SystemReport,
     load_system_report as load_system_report,
     save_derivation as save_derivation,
 )
+from ._search import (
+    ConstantMinimum as ConstantMinimum,
+    ConstantSearch as ConstantSearch,
+    search_constants as search_constants,
+)
+from ._separation import Separation as Separation
 from ._simulation import Simulation as Simulation, simulate_system as simulate_system
-from ._system import System as System
-from ._toml import load_system as load_system
-from .algebra import ConstantIdentifiability as ConstantIdentifiability, Separation as Separation
-from .description import (
-    Constant as Constant,
-    DescriptionError as DescriptionError,
-    Variable as Variable,
+from ._system import (
+    System as System,
     lagrange_equations as lagrange_equations,
     mechanics_equations as mechanics_equations,
-    parse_equation as parse_equation,
 )
+from ._toml import load_system as load_system, parse_equation as parse_equation
 
 
 __all__ = [

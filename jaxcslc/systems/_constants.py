@@ -1,21 +1,123 @@
-"""Constants of a system as they follow from coefficients, and results of searches."""
+"""Constants of a system as they follow from coefficients: which do, and their values."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
+from sympy import lambdify
 
-from .._rank import pseudo_inverse
+from .._rank import numerical_rank, pseudo_inverse
 from ..least_squares import Identification
-from ..recordings import Patterns
-from ._network import SystemNetwork
-from ._system import System
-from .algebra import COMPLEX_STEP
 
 
+if TYPE_CHECKING:
+    from ._separation import Separation
+    from ._system import System
+
+
+Verdict = Literal["alone", "only in combinations", "not at all"]
+
+
+# Of derivatives in the complex plane: so small that its square is nothing beside 1.
+_COMPLEX_STEP = 1e-30
 # The search for constants ends when a step changes them by less than this part.
 _PRECISION = 1e-12
+
+
+@dataclasses.dataclass(frozen=True)
+class ConstantIdentifiability:
+    """Verdict whether an unknown constant follows from the coefficients, which fits determine.
+
+    **Attributes**
+
+    - `constant`: its name.
+    - `verdict`: `"alone"`: it can be computed from coefficients; `"only in combinations"`: it
+      can't be told apart from others; `"not at all"`: it cancels from every equation.
+    - `coefficients`: names of those that it is part of.
+
+    >>> from jaxcslc.systems import ConstantIdentifiability
+    >>> print(ConstantIdentifiability("l", "only in combinations", ("k2", "k3")))
+    constant 'l': only in combinations, k2, k3
+    """
+
+    constant: str
+    verdict: Verdict
+    coefficients: tuple[str, ...]
+
+    def __str__(self) -> str:
+        if self.verdict == "not at all":
+            return (
+                f"constant {self.constant!r}: not at all, it cancels from every equation;"
+                " no recording determines it"
+            )
+        listed = ", ".join(self.coefficients)
+        return f"constant {self.constant!r}: {self.verdict}, {listed}"
+
+
+def determine_identifiability(separation: "Separation") -> tuple[ConstantIdentifiability, ...]:
+    """Determine the identifiability of each unknown constant.
+
+    It follows from the derivatives of the coefficients at one random set of values: a constant can
+    be computed from the coefficients near almost every set of values if its unit vector is a
+    combination of their gradients.
+    """
+    symbols, draw = separation.symbols, np.random.default_rng(0)
+    signs = [-1 if symbol.is_negative else 1 for symbol in symbols.values()]
+    point = np.array([draw.uniform(0.5, 1.5) * sign for sign in signs])
+    gradient = _gradient(separation, point)
+    rank = numerical_rank(gradient.T)
+    rows: list[ConstantIdentifiability] = []
+    for name, symbol, unit in zip(symbols, symbols.values(), np.eye(len(symbols)), strict=True):
+        part_of = tuple(
+            coefficient.name
+            for coefficient, formula in zip(
+                separation.coefficients, separation.formulas, strict=True
+            )
+            if symbol in formula.free_symbols
+        )
+        verdict: Verdict = "not at all"
+        if part_of:
+            alone = numerical_rank(np.vstack([gradient, unit]).T) == rank
+            verdict = "alone" if alone else "only in combinations"
+        rows.append(ConstantIdentifiability(name, verdict, part_of))
+    return tuple(rows)
+
+
+def _gradient(
+    separation: "Separation", values: Float[np.ndarray, " constants"]
+) -> Float[np.ndarray, "coefficients constants"]:
+    """Return the derivatives of the coefficients, by complex steps: exact to rounding."""
+    steps = values[:, None] + 1j * _COMPLEX_STEP * np.eye(len(values))
+    return np.imag(separation.evaluate(steps)) / _COMPLEX_STEP
+
+
+def independent(system: "System", regressor: Sequence[Sequence[Any]]) -> bool:
+    """Return whether the columns of a regressor are independent at random states, numerically.
+
+    Columns are functions that exact algebra has made independent, as far as it knows the functions:
+    this is where it is held to it. States where a function is not real are left out.
+    """
+    size = len(regressor[0])
+    draw = np.random.default_rng(0)
+    arguments = list(system.symbols.motion.values())
+    searched = {
+        system.symbols.constants[constant.name]: draw.uniform(*constant.bounds)
+        for constant in system.nonlinear
+        if constant.bounds is not None
+    }
+    expressions = [[x.subs(searched) for x in row] for row in regressor]
+    function = lambdify(arguments, expressions, modules="numpy", cse=True)
+    states = draw.uniform(-2.0, 2.0, (len(arguments), 20 + 4 * size))
+    with np.errstate(all="ignore"):
+        values = function(*states.astype(complex))
+    count = states.shape[1]
+    columns = [[np.broadcast_to(x, count) for x in row] for row in values]
+    rows = np.moveaxis(np.array(columns, complex), 1, -1).reshape(-1, size)
+    finite = np.all(np.isfinite(rows), axis=1)
+    real = np.all(np.abs(np.imag(rows)) <= 1e-12 * np.abs(rows), axis=1)
+    return numerical_rank(np.real(rows[finite & real])) == size
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +144,7 @@ class ConstantEstimate:
         return f"{self.name} = {self.value:.4g} ± {self.standard_error:.2g} {self.unit}".rstrip()
 
 
-def constants_from(system: System, fit: Identification) -> tuple[ConstantEstimate, ...]:
+def constants_from(system: "System", fit: Identification) -> tuple[ConstantEstimate, ...]:
     """The constants of a system that its coefficients determine.
 
     The values whose coefficients are nearest to the identified ones, each difference divided by its
@@ -58,21 +160,12 @@ def constants_from(system: System, fit: Identification) -> tuple[ConstantEstimat
     `system.unknown`; none where a coefficient is not determined, or where no values of the signs
     that are known come near the coefficients.
 
-    >>> import numpy as np, sympy
-    >>> from jaxcslc.systems import Constant, System, SystemRecording, Variable
-    >>> from jaxcslc.systems import constants_from, identify_system
-    >>> x, y, z, m, l = sympy.symbols("x y z m l", positive=True)
-    >>> lever = System(
-    ...     "lever", {"force": sympy.Eq(z, m * x + m * l * y)},
-    ...     (Variable(x), Variable(y), Variable(z)),
-    ...     (Constant(m, "kg", sign="positive"), Constant(l, "m", sign="positive")),
-    ... )
-    >>> time = np.arange(400) * 0.1
-    >>> columns = {"x": np.sin(time), "y": np.cos(2 * time)}
-    >>> columns["z"] = 2 * columns["x"] + 0.6 * columns["y"]
-    >>> report = identify_system(lever, SystemRecording(time, columns))
-    >>> [(row.name, round(row.value, 6)) for row in constants_from(lever, report.fit)]
-    [('m', 2.0), ('l', 0.3)]
+    >>> import jaxcslc as jc
+    >>> from jaxcslc.systems import constants_from
+    >>> tank, recording = jc.examples.tank()
+    >>> fit = jc.identify_system(tank, recording).fit
+    >>> [(row.name, round(row.value, 4), row.unit) for row in constants_from(tank, fit)]
+    [('area', 3.0, 'm²'), ('outlet', 0.5, '')]
     """
     from scipy.optimize import least_squares  # takes a while to load
 
@@ -80,176 +173,35 @@ def constants_from(system: System, fit: Identification) -> tuple[ConstantEstimat
     alone = [row.constant for row in separation.identifiability if row.verdict == "alone"]
     if not alone or not np.all(np.asarray(fit.determined)):
         return ()
-    names = list(separation.symbols)
+    symbols = separation.symbols.values()
+    negative = np.array([bool(symbol.is_negative) for symbol in symbols])
+    positive = np.array([bool(symbol.is_positive) for symbol in symbols])
     k, error = np.asarray(fit.k), np.asarray(fit.standard_error)
     # Coefficients that were met exactly count like the others, by their size.
     weight = 1.0 / np.maximum(error, 1e-9 * np.maximum(np.abs(k), np.max(np.abs(k)) * 1e-9))
-    signs = np.array([-1.0 if separation.symbols[name].is_negative else 1.0 for name in names])
-    known_sign = np.array(
-        [bool(s.is_negative or s.is_positive) for s in separation.symbols.values()]
-    )
-
-    def residual(values: Float[np.ndarray, " constants"]) -> Float[np.ndarray, " coefficients"]:
-        return weight * (np.real(separation.evaluate(values)) - k)
-
-    def gradient(
-        values: Float[np.ndarray, " constants"],
-    ) -> Float[np.ndarray, "coefficients constants"]:
-        steps = values[:, None] + 1j * COMPLEX_STEP * np.eye(len(values))
-        return weight[:, None] * np.imag(separation.evaluate(steps)) / COMPLEX_STEP
-
-    bounds = (
-        np.where(known_sign & (signs > 0), 0.0, -np.inf),
-        np.where(known_sign & (signs < 0), 0.0, np.inf),
-    )
-    best = None
-    for size in (1.0, 0.1, 10.0):
-        solution = least_squares(
-            residual,
-            size * signs,
-            jac=gradient,
-            bounds=bounds,
+    searches = (
+        least_squares(
+            lambda values: weight * (np.real(separation.evaluate(values)) - k),
+            size * np.where(negative, -1.0, 1.0),
+            jac=lambda values: weight[:, None] * _gradient(separation, values),
+            bounds=(np.where(positive, 0.0, -np.inf), np.where(negative, 0.0, np.inf)),
             x_scale="jac",
             xtol=_PRECISION,
             ftol=_PRECISION,
             gtol=_PRECISION,
         )
-        if best is None or solution.cost < best.cost:
-            best = solution
-    assert best is not None
+        for size in (1.0, 0.1, 10.0)
+    )
+    best = min(searches, key=lambda search: search.cost)
     # Of exact coefficients a thousandth must be met: of others, what their errors explain.
     misfit = np.abs(np.real(separation.evaluate(best.x)) - k)
     if np.any(misfit > np.maximum(10.0 * error, 1e-3 * np.abs(k))):
         return ()
-    inverse = pseudo_inverse(gradient(best.x)) * weight[None, :]
+    inverse = pseudo_inverse(weight[:, None] * _gradient(separation, best.x)) * weight[None, :]
     covariance = inverse @ np.asarray(fit.covariance) @ inverse.T
     units = {constant.name: constant.unit for constant in system.unknown}
     return tuple(
         ConstantEstimate(name, units[name], float(best.x[i]), float(np.sqrt(covariance[i, i])))
-        for i, name in enumerate(names)
+        for i, name in enumerate(separation.symbols)
         if name in alone
     )
-
-
-_SHOWN = 6  # minima
-
-
-@dataclasses.dataclass(frozen=True)
-class ConstantMinimum:
-    """A minimum of the error over the constants that enter nonlinearly.
-
-    **Attributes**
-
-    - `values`: (s,) of the constants.
-    - `error`: (n,) root mean square error of each output there, with the best coefficients.
-    - `ratio`: error over that of the best minimum, of all outputs as they are weighted.
-    - `starts`: how many of the evenly spread starts ended in it.
-    """
-
-    values: Float[np.ndarray, " constants"]
-    error: Float[np.ndarray, " outputs"]
-    ratio: float
-    starts: int
-
-
-@dataclasses.dataclass(frozen=True)
-class ConstantSearch:
-    """Constants that enter nonlinearly, with the coefficients that belong to them.
-
-    **Attributes**
-
-    - `names`: of the s constants.
-    - `fit`: coefficients and constants together, in this order, with standard errors that allow
-      for each other; its last s names are those of the constants, without those `at_bound`.
-    - `network`: the system's, with the constants at their values.
-    - `minima`: all different ones, the best first.
-    - `starts`: how many starts were spread evenly within the bounds.
-    - `at_bound`: names of constants that ended at one of their bounds.
-    """
-
-    names: tuple[str, ...]
-    fit: Identification
-    network: SystemNetwork
-    minima: tuple[ConstantMinimum, ...]
-    starts: int
-    at_bound: tuple[str, ...]
-
-    @property
-    def coefficients(self) -> Identification:
-        """The coefficients alone; their errors allow for those of the constants."""
-        p, fit = self.network.size, self.fit
-        rows = {name: getattr(fit, name)[:p] for name in ("k", "standard_error", "determined")}
-        squares = ("covariance", "independent_covariance", "undetermined")
-        return dataclasses.replace(
-            fit,
-            names=self.network.names,
-            **rows,
-            **{name: getattr(fit, name)[:p, :p] for name in squares},
-        )
-
-    @property
-    def values(self) -> Mapping[str, float]:
-        """The constants by name."""
-        return dict(zip(self.names, np.asarray(self.network.nonlinear).tolist(), strict=True))
-
-    def with_known_sides(self, patterns: Patterns) -> Patterns:
-        """Patterns whose known sides belong to the values of the constants.
-
-        **Arguments**
-
-        - `patterns`: of the system, as by `system_patterns`.
-        """
-        motion = tuple(np.asarray(x) for x in (patterns.q, patterns.qd, patterns.qdd))
-        before = self.network.system.network.known(*motion)
-        torque = np.asarray(patterns.torque + self.network.known(*motion) - before)
-        return dataclasses.replace(patterns, torque=torque)
-
-    @property
-    def share(self) -> float:
-        """The part of evenly spread starts that ended in the best minimum."""
-        return self.minima[0].starts / self.starts
-
-    @property
-    def unexplored(self) -> float:
-        """The part of the bounds, expected, from which starts would end in further minima.
-
-        w (w + 1) / (N (N - 1)) for N starts that ended in w different minima (Boender and Rinnooy
-        Kan, 'Bayesian stopping rules for multistart global optimization methods', Mathematical
-        Programming 37, 1987).
-        """
-        different = sum(minimum.starts > 0 for minimum in self.minima)
-        return min(1.0, different * (different + 1) / (self.starts * max(self.starts - 1, 1)))
-
-    def __str__(self) -> str:
-        error = dict(zip(self.fit.names, np.asarray(self.fit.standard_error), strict=True))
-        width = max(map(len, self.names))
-        lines = [
-            f"{name:<{width}}  {value:>11.5g}"
-            + (f" ± {error[name]:.2g}" if name in error else "  at its bound")
-            for name, value in self.values.items()
-        ]
-        return "\n".join([*lines, self.statement])
-
-    @property
-    def statement(self) -> str:
-        """Sentences about the search: the error has more than one minimum, or may have."""
-        first, *others = self.minima
-        text = (
-            f"The equations are not linear in {', '.join(self.names)}: a single minimum is no"
-            f" longer certain. {first.starts} of {self.starts} starts ended in the best minimum"
-        )
-        if not others:
-            return f"{text}; no other was seen."
-        listed = "; ".join(
-            ", ".join(
-                f"{name} = {value:.4g}"
-                for name, value in zip(self.names, minimum.values, strict=True)
-            )
-            + f" (error {minimum.ratio:.4g} times as large)"
-            for minimum in others[:_SHOWN]
-        )
-        more = f"; and {len(others) - _SHOWN} more" if len(others) > _SHOWN else ""
-        return (
-            f"{text}, {100 * self.unexplored:.2g} % of the bounds may lead to minima not seen."
-            f" Others: {listed}{more}."
-        )

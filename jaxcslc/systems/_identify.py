@@ -11,16 +11,14 @@ from ..recordings import AveragedSplines, Patterns, Preparation, choose_spacing
 from ..report import ErrorTable, compare, condition_warning, degree_of_excitation
 from ..uncertainty import cross_validated_error, held_out_error
 from ._constants import constants_from
-from ._measurement_noise import check_noise, measurement_noise
+from ._description import DescriptionError
 from ._network import SystemNetwork
 from ._noise_correction import EquationsUndefined, Noise, NoiseCorrection, correct_for_noise
-from ._nonlinear import search_constants
-from ._patterns import system_patterns
-from ._recording import SystemRecording
+from ._recording import SystemRecording, check_noise, measurement_noise, system_patterns
 from ._report import SystemReport
+from ._search import search_constants
 from ._simulation import Simulation, simulate_system
 from ._system import System
-from .description import DescriptionError
 
 
 # Spacings of splines that are tried, as by `choose_spacing`, and those for finer sampling.
@@ -66,24 +64,12 @@ def identify_system(
       noise of no column, or below zero.
     - `RuntimeError`: a fit that fails, as of `LeastSquares.fit`.
 
-    >>> import numpy as np, sympy
-    >>> from sympy.physics.mechanics import dynamicsymbols
-    >>> from jaxcslc.systems import Constant, System, SystemRecording, Variable, identify_system
-    >>> level, inflow = dynamicsymbols("level inflow")
-    >>> area, outlet = sympy.symbols("area outlet")
-    >>> balance = sympy.Eq(inflow, area * level.diff() + outlet * sympy.sqrt(level))
-    >>> tank = System(
-    ...     "tank", {"volume": balance}, (Variable(level, "m"), Variable(inflow, "m³/s")),
-    ...     (Constant(area, "m²", sign="positive"), Constant(outlet)),
-    ... )
-    >>> time = np.arange(1000) * 0.05
-    >>> level, rate = 2 + np.sin(time), np.cos(time)
-    >>> columns = {"level": level, "inflow": 3 * rate + 0.5 * np.sqrt(level)}
-    >>> report = identify_system(tank, SystemRecording(time, columns))
+    >>> import numpy as np, jaxcslc as jc
+    >>> report = jc.identify_system(*jc.examples.tank())
     >>> np.round(report.k, 4).tolist(), report.network.names
     ([3.0, 0.5], ('area', 'outlet'))
     """
-    step = progress or _without_progress
+    step = progress or (lambda words: None)
     step("separating constants")
     network = system.network
     recordings = {"training": training} | ({} if validation is None else {"validation": validation})
@@ -113,10 +99,13 @@ def identify_system(
             system, training, patterns["training"], settings, fit, noise
         )
         fit = fit if correction is None else correction.fit
-    simulation = None
+    simulation: Simulation | str | None = None
     if validation is not None:
         step("simulating")
-        simulation = _simulation(system, network, fit, patterns["validation"])
+        try:
+            simulation = simulate_system(system, fit.k, patterns["validation"], network=network)
+        except DescriptionError as error:
+            simulation = str(error)
     step("computing errors")
     constants = constants_from(system, fit)
     errors = {name: compare(network, values, {"fit": fit.k}) for name, values in patterns.items()}
@@ -164,22 +153,14 @@ def system_settings(system: System, recording: SystemRecording) -> Settings:
 
     **Raises** `RecordingError` for a column that is missing.
 
-    >>> import numpy as np, sympy
-    >>> from sympy.physics.mechanics import dynamicsymbols
-    >>> from jaxcslc.systems import Constant, System, SystemRecording, Variable, system_settings
-    >>> level, inflow = dynamicsymbols("level inflow")
-    >>> area = sympy.Symbol("area")
-    >>> equations = {"volume": sympy.Eq(inflow, area * level.diff())}
-    >>> tank = System("tank", equations, (Variable(level), Variable(inflow)), (Constant(area),))
-    >>> time = np.arange(400) * 0.1
-    >>> recording = SystemRecording(time, {"level": np.sin(time), "inflow": np.cos(time)})
-    >>> print(system_settings(tank, recording).preparation.smoothing.description)
+    >>> import jaxcslc as jc
+    >>> from jaxcslc.systems import system_settings
+    >>> print(system_settings(*jc.examples.tank(samples=400)).preparation.smoothing.description)
     averaged splines of (5,) samples
     """
     if not system.states:
         return Settings()
-    names = [system.variables[index].column_name for index in system.states]
-    position = np.stack([recording.column(name) for name in names], axis=1)
+    position = recording.stacked(system.variables[i].column_name for i in system.states)
     longest = max(recording.samples // _KNOTS, _SPACINGS[0])
     candidates = [spacing for spacing in _SPACINGS if spacing <= longest]
     sections = any(system.signs)
@@ -207,16 +188,6 @@ def _correction(
     return correction, correction.warnings
 
 
-def _simulation(
-    system: System, network: SystemNetwork, fit: Identification, patterns: Patterns
-) -> Simulation | str:
-    """The motion of the identified system, or why it cannot be simulated."""
-    try:
-        return simulate_system(system, fit.k, patterns, network=network)
-    except DescriptionError as error:
-        return str(error)
-
-
 def _warnings(
     network: SystemNetwork, fit: Identification, patterns: Patterns, errors: ErrorTable
 ) -> Iterator[str]:
@@ -234,7 +205,3 @@ def _warnings(
                 f"{name}: training RMS {rms:.3g}, standard deviation of its known side {size:.3g}:"
                 " the model explains less than half of the variance; check units and signs"
             )
-
-
-def _without_progress(step: str) -> None:
-    del step

@@ -1,9 +1,6 @@
 """A system as a network of exactly its form: the fourth stage (thesis C.2)."""
 
-import dataclasses
-from collections.abc import Callable, Sequence
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,58 +10,13 @@ from jaxtyping import Array, Float
 
 from ..derivation import Coefficient
 from ..network import AbstractLinearNetwork, AbstractTerm
-
-
-if TYPE_CHECKING:
-    from ._system import System
+from ._system import Formulas, System
 
 
 Motion = Float[Array | np.ndarray, "... variables"]
 Outputs = Float[Array, "*batch outputs"]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Formulas:
-    """SymPy expressions of motion and searched constants as one compiled function.
-
-    **Attributes**
-
-    - `symbols`: (variable, order) of each motion symbol that occurs.
-    - `expressions`: to be evaluated.
-    - `arguments`: the symbols themselves, then those of searched constants.
-    """
-
-    symbols: tuple[tuple[int, int], ...]
-    expressions: tuple[Any, ...]
-    arguments: tuple[Any, ...]
-
-    @classmethod
-    def of(cls, system: "System", expressions: Sequence[Any]) -> "Formulas":
-        """Compile expressions in the symbols of a system."""
-        used = {symbol for expression in expressions for symbol in expression.free_symbols}
-        symbols = {key: x for key, x in system.symbols.motion.items() if x in used}
-        searched = (system.symbols.constants[constant.name] for constant in system.nonlinear)
-        return cls(tuple(symbols), tuple(expressions), (*symbols.values(), *searched))
-
-    @cached_property
-    def _function(self) -> Callable[..., Any]:
-        from sympy import lambdify
-
-        return lambdify(self.arguments, list(self.expressions), modules="jax", cse=True)
-
-    def __call__(
-        self,
-        motion: Sequence[Sequence[Array]],
-        nonlinear: Float[Array | np.ndarray, " nonlinear"],
-    ) -> list[Array]:
-        """Evaluate the expressions: one array each, of the shape of the motion's.
-
-        - `motion`: by order of the derivative and by variable.
-        """
-        like = motion[0][0]
-        arguments = [motion[order][variable] for variable, order in self.symbols]
-        values = self._function(*arguments, *(jnp.asarray(x, like.dtype) for x in nonlinear))
-        return [jnp.broadcast_to(jnp.asarray(value, like.dtype), like.shape) for value in values]
+Batch = Float[Array, "*batch variables"]
+Rows = Float[Array | np.ndarray, "variables samples"]
 
 
 class SystemTerm(AbstractTerm):
@@ -102,18 +54,14 @@ class SystemTerm(AbstractTerm):
             return id(self.nonlinear)
         return hash((self.formulas, np.asarray(self.nonlinear).tobytes()))
 
-    def inputs(self, q: Sequence[Array], qd: Sequence[Array], qdd: Sequence[Array]) -> list[Array]:
-        """The value of each of `entries`, of motion with an array a variable."""
-        return self.formulas((q, qd, qdd), self.nonlinear)
+    def _values(self, *motion: Batch) -> dict[tuple[int, int], Any]:
+        """Return the value of each of `entries`."""
+        return dict(zip(self.entries, self.formulas(motion, self.nonlinear), strict=True))
 
     def columns(
-        self,
-        q: Float[Array | np.ndarray, "variables samples"],
-        qd: Float[Array | np.ndarray, "variables samples"],
-        qdd: Float[Array | np.ndarray, "variables samples"],
+        self, q: Rows, qd: Rows, qdd: Rows
     ) -> tuple[Float[Array | np.ndarray, "_ samples"], ...]:
-        motion = (list(map(jnp.asarray, rows)) for rows in (q, qd, qdd))
-        values = dict(zip(self.entries, self.inputs(*motion), strict=True))
+        values = self._values(*(jnp.asarray(x).T for x in (q, qd, qdd)))
         empty = jnp.zeros((0, q.shape[1]), q.dtype)
         return tuple(
             jnp.stack([values[i, j] for j in support]) if support else empty
@@ -121,12 +69,9 @@ class SystemTerm(AbstractTerm):
         )
 
     def regressor(
-        self,
-        q: Float[Array, "*batch variables"],
-        qd: Float[Array, "*batch variables"],
-        qdd: Float[Array, "*batch variables"],
+        self, q: Batch, qd: Batch, qdd: Batch
     ) -> Float[Array, "*batch outputs coefficients"]:
-        values = dict(zip(self.entries, self.inputs(*map(_by_variable, (q, qd, qdd))), strict=True))
+        values = self._values(q, qd, qdd)
         zero = jnp.zeros(q.shape[:-1], q.dtype)
         rows = [
             jnp.stack([values.get((i, j), zero) for j in range(self.size)], axis=-1)
@@ -134,17 +79,9 @@ class SystemTerm(AbstractTerm):
         ]
         return jnp.stack(rows, axis=-2)
 
-    def torque(
-        self,
-        k: Float[Array, " coefficients"],
-        q: Float[Array, "*batch variables"],
-        qd: Float[Array, "*batch variables"],
-        qdd: Float[Array, "*batch variables"],
-    ) -> Outputs:
+    def torque(self, k: Float[Array, " coefficients"], q: Batch, qd: Batch, qdd: Batch) -> Outputs:
         totals = [jnp.zeros(q.shape[:-1], q.dtype) for _ in range(self.output_count)]
-        for (i, j), value in zip(
-            self.entries, self.inputs(*map(_by_variable, (q, qd, qdd))), strict=True
-        ):
+        for (i, j), value in self._values(q, qd, qdd).items():
             totals[i] = totals[i] + k[j] * value
         return jnp.stack(totals, axis=-1)
 
@@ -166,27 +103,21 @@ class SystemNetwork(AbstractLinearNetwork):
     - `terms`: one `SystemTerm`.
     - `known_sides`: what the equations equate the network's outputs to.
 
-    >>> import jax.numpy as jnp, numpy as np, sympy
-    >>> from sympy.physics.mechanics import dynamicsymbols
-    >>> from jaxcslc.systems import Constant, System, Variable
-    >>> x, force = dynamicsymbols("x force")
-    >>> mass, damping = sympy.symbols("mass damping")
-    >>> equation = sympy.Eq(force, mass * x.diff().diff() + damping * x.diff())
-    >>> variables, constants = (Variable(x), Variable(force)), (Constant(mass), Constant(damping))
-    >>> network = System("cart", {"rail": equation}, variables, constants).network
-    >>> network.names
-    ('damping', 'mass')
-    >>> k, q, qd, qdd = np.array([0.5, 2.0]), np.zeros(2), np.array([1.0, 0]), np.array([3.0, 0])
-    >>> float(network.output(k, q, qd, qdd)[0])
-    6.5
+    >>> import numpy as np, jaxcslc as jc
+    >>> network = jc.examples.tank()[0].network
+    >>> network.names, network.variables
+    (('area', 'outlet'), ('level', 'inflow'))
+    >>> k, q, qd = np.array([3.0, 0.5]), np.array([4.0, 0.0]), np.array([1.0, 0.0])
+    >>> float(network.torque(k, q, qd, 0.0 * q)[0])
+    4.0
     """
 
     terms: tuple[SystemTerm]
-    system: "System" = eqx.field(static=True)
+    system: System = eqx.field(static=True)
     known_sides: Formulas = eqx.field(static=True)
 
     @classmethod
-    def of(cls, system: "System") -> "SystemNetwork":
+    def of(cls, system: System) -> "SystemNetwork":
         """The network of a system."""
         separation = system.separation
         entries = tuple(
@@ -195,9 +126,8 @@ class SystemNetwork(AbstractLinearNetwork):
             for j, expression in enumerate(row)
             if expression != 0
         )
-        middles = [0.5 * sum(c.bounds) for c in system.nonlinear if c.bounds is not None]
         term = SystemTerm(
-            nonlinear=np.array(middles, float),
+            nonlinear=np.array(system.middles, float),
             coefficients=separation.coefficients,
             entries=entries,
             formulas=Formulas.of(system, [separation.regressor[i][j] for i, j in entries]),
@@ -262,24 +192,15 @@ class SystemNetwork(AbstractLinearNetwork):
         new = values if isinstance(values, Array) else np.asarray(values, float)
         return eqx.tree_at(lambda network: network.terms[0].nonlinear, self, new)
 
-    def output(
-        self, k: Float[Array | np.ndarray, " coefficients"], q: Motion, qd: Motion, qdd: Motion
-    ) -> Float[Array, "..."]:
-        """The sides of the equations that have coefficients, (..., n): `torque` by another name."""
-        return self.torque(k, q, qd, qdd)
-
     def known(self, q: Motion, qd: Motion, qdd: Motion) -> Float[Array, "..."]:
-        """The sides of the equations that are known, (..., n): what `output` is fitted to."""
-        _, q, qd, qdd = self._checked(None, q, qd, qdd)
-        values = self.known_sides(
-            (_by_variable(q), _by_variable(qd), _by_variable(qdd)), self.nonlinear
-        )
-        return jnp.stack(values, axis=-1)
+        """The sides of the equations that are known, (..., n): what `torque` is fitted to."""
+        _, *motion = self._checked(None, q, qd, qdd)
+        return jnp.stack(self.known_sides(motion, self.nonlinear), axis=-1)
 
     def residual(
         self, k: Float[Array | np.ndarray, " coefficients"], q: Motion, qd: Motion, qdd: Motion
     ) -> Float[Array, "..."]:
-        """The error of the equations, (..., n): the known side less the output."""
+        """The error of the equations, (..., n): the known side less `torque`."""
         return self.known(q, qd, qdd) - self.torque(k, q, qd, qdd)
 
     @property
@@ -304,7 +225,3 @@ class SystemNetwork(AbstractLinearNetwork):
             f"SystemNetwork({self.name}: {counted(self.joint_count, 'equation')},"
             f" {counted(self.motion_count, 'variable')}, {counted(self.size, 'coefficient')})"
         )
-
-
-def _by_variable(x: Float[Array, "*batch variables"]) -> list[Float[Array, "*batch"]]:
-    return [x[..., index] for index in range(x.shape[-1])]

@@ -1,47 +1,53 @@
 """Correction of coefficients for the bias of measurement noise and smoothing.
 
-Draws of noise go through smoothing and fit; `_noise_errors` evaluates them.
+Draws of noise go through smoothing and fit. What they make of equations and coefficients is the
+bias, the standard errors, and a test of whether noise explains the errors.
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Array, Float, Int
 
-from ..least_squares import Identification, Settings, WeightedEquations
-from ..recordings import Derivatives, Patterns
-from ._measurement_noise import check_noise, level_error, measurement_noise, with_simulated_noise
+from ..least_squares import Equations, Identification, Settings, Unknowns, WeightedEquations
+from ..recordings import Patterns
 from ._network import SystemNetwork
-from ._noise_errors import (
-    Draws,
-    FilteredErrors,
-    error_ratio,
-    judged_ratio,
-    lasting_errors,
-    unexplained,
+from ._recording import (
+    SystemRecording,
+    check_noise,
+    level_error,
+    measurement_noise,
+    system_derivatives,
+    with_simulated_noise,
 )
-from ._patterns import system_derivatives
-from ._recording import SystemRecording
-from ._smoothing_bias import REACHES, SmoothingBias, motion_of, with_motion
+from ._smoothing_bias import REACHES, Motion, SmoothingBias, stacked_motion, with_motion
 from ._system import System
 
 
+# Chance by which a fit of equations that hold, with white noise, is said to have other errors.
+_CHANCE = 0.001
+# Fits of noise alone that show how far the standard errors of residuals scatter.
+_REFITTED = 40
+# Of eigenvalues of a matrix whose diagonal is near one.
+_ROUNDING = 1e-9
 # Errors of all equations that are so many times those that noise makes are not looked into further.
 _NEGLIGIBLE = 30.0
 # With more stretches of a recording, what is left uncertain is the level of its noise.
 _STRETCHES = 64
 
+Noise = Mapping[str, float] | Literal["estimated"] | None
+"""Standard deviation of the noise of columns; or whether to estimate it."""
+OfEquations = list[Float[np.ndarray, "_ draws"]]
+"""For each equation of the system, changes of its rows draw by draw."""
+
 
 class EquationsUndefined(ValueError):
     """Equations have no finite values where simulated noise takes a recording."""
-
-
-Noise = Mapping[str, float] | Literal["estimated"] | None
-"""Standard deviation of the noise of columns; or whether to estimate it."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,11 +149,9 @@ def correct_for_noise(
 
     **Returns** a `NoiseCorrection`.
 
-    **Raises**
-
-    - `ValueError`: constants that are searched, noise of no column or below zero, fewer than two
-      draws, fewer than one pair, or more pairs than draws; or noise that takes the recording out of
-      what the equations allow, as a root of a level near zero.
+    **Raises** `ValueError`: constants that are searched, noise of no column or below zero, fewer
+    than two draws, fewer than one pair, or more pairs than draws; or noise that takes the recording
+    out of what the equations allow, as a root of a level near zero.
 
     >>> import numpy as np, sympy, jaxcslc as jc
     >>> from jaxcslc.systems import Constant, System, SystemRecording, Variable
@@ -185,7 +189,7 @@ def correct_for_noise(
     bias = (np.zeros_like(k),) * 2 if smoothing is None else smoothing.estimate()
     through = _Simulation(system, settings, patterns, smoothing, problem, k)
     noisy = lambda count: with_simulated_noise(recording, levels, count, seed)
-    simulation = _simulated(through, noisy(draws), pairs)
+    simulation = through.draws(noisy(draws), pairs)
     ratio, factor = judged_ratio(problem, fit, simulation.errors, recording.samples)
     warnings = unexplained(system.network, ratio, factor)
     if not warnings:
@@ -213,6 +217,60 @@ def correct_for_noise(
         _corrected(fit, problem, taken, None if warnings else simulation, of_level),
         tuple(warnings),
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class Draws:
+    """Effect of simulated noise on the coefficients.
+
+    - `count`: of draws.
+    - `errors`: of the equations, that the noise makes draw by draw; its linear part.
+    - `linear`: (stretches, p, draws) changes of the corrected coefficients by the linear part, from
+      the equations of stretches of the recording, of which only neighbours have errors in common.
+    - `even`: (pairs, p) changes of the corrected coefficients that both signs of a draw share.
+    """
+
+    count: int
+    errors: OfEquations
+    linear: Float[np.ndarray, "stretches coefficients draws"]
+    even: Float[np.ndarray, "pairs coefficients"]
+
+    @property
+    def products(self) -> Float[np.ndarray, "draws coefficients coefficients"]:
+        """Draw by draw, what has the covariance of the linear part for its mean: products of
+        changes by the same stretch and by neighbours."""
+        around = self.linear.copy()
+        around[1:] += self.linear[:-1]
+        around[:-1] += self.linear[1:]
+        products = np.einsum("spd,sqd->dpq", self.linear, around)
+        whole = np.sum(self.linear, axis=0)
+        size = np.sqrt(np.mean(whole**2, axis=1))
+        scale = np.where(size > 0.0, size, 1.0)
+        if np.linalg.eigvalsh(np.mean(products, axis=0) / np.outer(scale, scale))[0] < -_ROUNDING:
+            # So few draws that this is no covariance. That of whole recordings always is.
+            return np.einsum("pd,qd->dpq", whole, whole)
+        return products
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "coefficients coefficients"]:
+        """Covariance of the corrected coefficients.
+
+        It adds that of the linear part, that of the part of second order about its mean, and that
+        of this mean over the pairs. The mean is taken off the coefficients.
+        """
+        covariance = np.mean(self.products, axis=0)
+        pairs = len(self.even)
+        if pairs > 1:
+            about = self.even - np.mean(self.even, axis=0)
+            covariance = covariance + about.T @ about / (pairs - 1) * (1.0 + 1.0 / pairs)
+        return covariance
+
+    @property
+    def variance_error(self) -> Float[np.ndarray, " coefficients"]:
+        """Relative standard error of the variances, by how they scatter over the draws."""
+        squares = np.diagonal(self.products, axis1=1, axis2=2)
+        error = np.std(squares, axis=0, ddof=1) / np.sqrt(self.count)
+        return error / np.maximum(np.mean(squares, axis=0), np.finfo(float).tiny)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -247,11 +305,11 @@ class _Simulation:
         stretches = min(samples // max(2 * reach, 1), _STRETCHES)
         return np.linspace(0, samples, max(stretches, 1) + 1).astype(int)
 
-    def again(self, motion: Derivatives) -> Derivatives:
+    def again(self, motion: Motion) -> Motion:
         """Motion smoothed once more, if smoothing's bias is taken off."""
         return motion if self.smoothing is None else self.smoothing.again(motion)
 
-    def corrected(self, once: Derivatives, twice: Derivatives) -> np.ndarray:
+    def corrected(self, once: Motion, twice: Motion) -> np.ndarray:
         """Coefficients of motion smoothed once, without the bias of smoothing."""
         network = self.system.network
         patterns = with_motion(network, self.patterns, once)
@@ -260,22 +318,21 @@ class _Simulation:
             return k
         return k - (self.smoothing.solution(twice) - self.smoothing.solution(once))
 
-    def noisy(self, recording: SystemRecording) -> Derivatives:
+    def noisy(self, recording: SystemRecording) -> Motion:
         """The motion of a recording with further noise, at the samples of the patterns."""
         trim = (recording.samples - self.patterns.samples) // 2
-        inside = slice(trim, recording.samples - trim)
-        q, qd, qdd = system_derivatives(self.system, recording, self.settings.preparation)
-        return q[inside], qd[inside], qdd[inside]
+        motion = system_derivatives(self.system, recording, self.settings.preparation)
+        return np.stack(motion)[:, trim : recording.samples - trim]
 
     def refitted(self, recording: SystemRecording) -> Identification:
         """A fit whose errors are the linear part of further noise alone."""
-        motion = motion_of(self.patterns)
-        error = self.odd_error(motion, _less(self.noisy(recording), motion))
+        motion = stacked_motion(self.patterns)
+        error = self.odd_error(motion, self.noisy(recording) - motion)
         output = self.system.network.torque(self.k, *motion)
         patterns = dataclasses.replace(self.patterns, torque=np.asarray(output) + error)
         return self.settings.solver.fit(self.system.network, patterns)
 
-    def odd_error(self, motion: Derivatives, change: Derivatives) -> np.ndarray:
+    def odd_error(self, motion: Motion, change: Motion) -> Float[np.ndarray, "samples equations"]:
         """Return the part of the equations' errors that changes sign with the motion's change."""
         error = np.asarray(_odd_error(self.system.network, self.k, motion, change))
         if not np.all(np.isfinite(error[np.asarray(self.patterns.mask)])):
@@ -285,60 +342,187 @@ class _Simulation:
             )
         return error
 
+    def filtered(
+        self, patterns: Patterns, error: Float[np.ndarray, "samples equations"]
+    ) -> list[Float[np.ndarray, "_ 1"]]:
+        """Return the errors of one draw, filtered as the equations of patterns are."""
+        equations = Equations.of(
+            Unknowns(("draw",), ((0,),) * self.system.network.joint_count),
+            error[..., None],
+            np.zeros(error.shape),
+            np.asarray(patterns.mask),
+            time=np.asarray(patterns.time),
+            cutoff=self.settings.solver.cutoff,
+        )
+        return [rows[:, :-1] for rows in equations.rows]
 
-def _simulated(through: _Simulation, noisy: Iterator[SystemRecording], pairs: int) -> Draws:
-    """Sends draws of noise through smoothing, smoothing once more, and the fit."""
-    network, cutoff = through.system.network, through.settings.solver.cutoff
-    smoothing = through.smoothing
-    errors = FilteredErrors(network, through.patterns, cutoff)
-    further = None if smoothing is None else FilteredErrors(network, smoothing.patterns, cutoff)
-    once = motion_of(through.patterns)
-    twice = through.again(once)
-    before = through.corrected(once, twice)
-    left = through.problem.equations.errors(through.k)
-    even: list[np.ndarray] = []
-    count = 0
-    for recording in noisy:
-        # Noise that is next to nothing of the errors needs no standard errors of its own.
-        if count == pairs and np.all(error_ratio(left, errors.filtered()) > _NEGLIGIBLE):
-            break
-        moved = through.noisy(recording)
-        change, again = _less(moved, once), _less(through.again(moved), twice)
-        errors.add(error := through.odd_error(once, change))
-        if further is not None:
-            further.add(through.odd_error(twice, again) - error)
-        if count < pairs:
-            both = [
-                through.corrected(_plus(once, sign, change), _plus(twice, sign, again))
-                for sign in (1.0, -1.0)
-            ]
-            even.append(np.mean(both, axis=0) - before)
-        count += 1
-    edges = through.edges
-    linear = through.problem.shifts_of_stretches(errors.filtered(), edges)
-    if smoothing is not None and further is not None:
-        linear = linear - smoothing.problem.shifts_of_stretches(further.filtered(), edges)
-    return Draws(count, errors.filtered(), linear, np.array(even))
+    def draws(self, recordings: Iterator[SystemRecording], pairs: int) -> Draws:
+        """Send recordings with further noise through smoothing, smoothing once more, and the fit.
 
-
-def _less(motion: Derivatives, other: Derivatives) -> Derivatives:
-    q, qd, qdd = (x - y for x, y in zip(motion, other, strict=True))
-    return q, qd, qdd
-
-
-def _plus(motion: Derivatives, sign: float, change: Derivatives) -> Derivatives:
-    q, qd, qdd = (x + sign * dx for x, dx in zip(motion, change, strict=True))
-    return q, qd, qdd
+        The first `pairs` are fitted with both signs. No more follow if noise is next to nothing of
+        the equations' errors: it needs no standard errors of its own.
+        """
+        once = stacked_motion(self.patterns)
+        twice = self.again(once)
+        before = self.corrected(once, twice)
+        left = self.problem.equations.errors(self.k)
+        errors: list[list[np.ndarray]] = []
+        further: list[list[np.ndarray]] = []
+        even: list[np.ndarray] = []
+        for count, recording in enumerate(recordings):
+            negligible = lambda: np.all(_ratio(_sizes(left), _sizes(_joined(errors))) > _NEGLIGIBLE)
+            if count == pairs and negligible():
+                break
+            moved = self.noisy(recording)
+            change, again = moved - once, self.again(moved) - twice
+            error = self.odd_error(once, change)
+            errors.append(self.filtered(self.patterns, error))
+            if self.smoothing is not None:
+                more = self.odd_error(twice, again) - error
+                further.append(self.filtered(self.smoothing.patterns, more))
+            if count < pairs:
+                both = [
+                    self.corrected(once + sign * change, twice + sign * again)
+                    for sign in (1.0, -1.0)
+                ]
+                even.append(np.mean(both, axis=0) - before)
+        made = _joined(errors)
+        linear = self.problem.shifts_of_stretches(made, self.edges)
+        if self.smoothing is not None:
+            problem = self.smoothing.problem
+            linear = linear - problem.shifts_of_stretches(_joined(further), self.edges)
+        return Draws(len(errors), made, linear, np.array(even))
 
 
 @eqx.filter_jit
 def _odd_error(network: SystemNetwork, k: Any, motion: Any, change: Any) -> Array:
     """The part of the equations' error that changes its sign with the noise, (samples, n)."""
-    plus, minus = (
-        network.residual(k, *(x + sign * dx for x, dx in zip(motion, change, strict=True)))
-        for sign in (1.0, -1.0)
-    )
+    plus, minus = (network.residual(k, *(motion + sign * change)) for sign in (1.0, -1.0))
     return (plus - minus) / 2.0
+
+
+def _joined(draws: Sequence[Sequence[np.ndarray]]) -> OfEquations:
+    """Return draws side by side."""
+    return [np.concatenate(parts, axis=1) for parts in zip(*draws, strict=True)]
+
+
+def _sizes(errors: Sequence[np.ndarray]) -> Float[np.ndarray, " equations"]:
+    """Return the root mean square of each equation's errors."""
+    return np.array([np.sqrt(np.mean(e**2)) if e.size else 0.0 for e in errors])
+
+
+def _ratio(left: np.ndarray, made: np.ndarray) -> Float[np.ndarray, " equations"]:
+    """Return what is left of equations over what noise makes; 1 where both are nothing."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = left / made
+    return np.where(np.isnan(ratio), 1.0, ratio)
+
+
+def judged_ratio(
+    problem: WeightedEquations, fit: Identification, made: OfEquations, samples: int
+) -> tuple[Float[np.ndarray, " equations"], Float[np.ndarray, " equations"]]:
+    """Compare the errors of equations with those that noise makes.
+
+    The ratio is what is left of the equations over what fits leave of errors that noise makes. With
+    it comes the factor by which the two may differ by chance.
+
+    Each draw of noise is fitted like the recording: a fit of few independent errors leaves clearly
+    less than there was. How much the draws' errors differ in size is the chance; it needs no model
+    of how the errors are correlated, or of where in a recording they are large. That of the noise's
+    level, which is estimated from so many samples, adds to it.
+    """
+    equations = problem.equations
+    shifts = problem.shifts(made)
+    after = [
+        errors - rows[:, :-1] @ shifts[list(support)]
+        for errors, rows, support in zip(
+            made, equations.rows, equations.unknowns.support, strict=True
+        )
+    ]
+    left = _sizes(equations.errors(np.asarray(fit.k)))
+    sizes = np.array(
+        [np.sqrt(np.mean(e**2, axis=0)) if e.size else np.zeros(e.shape[1]) for e in after]
+    )
+    typical = np.sqrt(np.mean(sizes**2, axis=1))
+    quantile = scipy.special.ndtri(1.0 - _CHANCE / (2 * len(typical)))
+    relative = sizes / np.where(typical > 0.0, typical, 1.0)[:, None]
+    spread = np.std(np.log(np.maximum(relative, np.finfo(float).tiny)), axis=1)
+    chance = np.sqrt(spread**2 * (1.0 + 1.0 / sizes.shape[1]) + level_error(samples) ** 2)
+    return _ratio(left, typical), np.exp(quantile * chance)
+
+
+def unexplained(
+    network: SystemNetwork,
+    ratio: Float[np.ndarray, " equations"],
+    factor: Float[np.ndarray, " equations"],
+) -> list[str]:
+    """Return one sentence per equation whose errors noise does not explain by their size.
+
+    - `ratio`, `factor`: as of `judged_ratio`.
+    """
+    warnings: list[str] = []
+    for name, value, most in zip(network.output_names, ratio, factor, strict=True):
+        if value * most < 1.0:
+            warnings.append(
+                f"{name}: its errors are {value:.2g} times those that the noise of the columns"
+                " would make: no bias is taken off; expected noise that is white, or `noise` in"
+                " its right strength"
+            )
+        elif value > most:
+            warnings.append(
+                f"{name}: its errors are {value:.3g} times those that the noise of the columns"
+                " makes: a term may be missing, or smoothing takes out motion"
+            )
+    return warnings
+
+
+def lasting_errors(
+    network: SystemNetwork,
+    fit: Identification,
+    simulated: Float[np.ndarray, " coefficients"],
+    draws: int,
+    samples: int,
+    refitted: Callable[[int], Iterator[Identification]],
+) -> list[str]:
+    """Return a sentence on the coefficient that long-lasting errors move most beyond noise, if any.
+
+    They are seen by the standard error that residuals give it. Where this looks too large by
+    Fisher's distribution, it is compared with those of fits of simulated noise: residuals that are
+    large in a small part of a recording have fewer degrees of freedom than their number of cosine
+    components.
+
+    - `simulated`: standard errors that the noise makes in the fit, by so many draws.
+    - `samples`: of the recording.
+    - `refitted`: fits of so many draws of noise.
+    """
+    determined = np.asarray(fit.determined)
+    # Standard errors for independent errors do not know how long smoothing makes them last.
+    if fit.errors != "correlated" or not np.any(determined):
+        return []
+    larger = _enlargement(fit, simulated)
+    limit = scipy.special.fdtri(
+        float(fit.degrees_of_freedom), draws, 1.0 - _CHANCE / int(np.sum(determined))
+    )
+    if np.max(larger) ** 2 <= limit:
+        return []
+    logs = np.log([np.max(_enlargement(other, simulated)) for other in refitted(_REFITTED)])
+    spread = np.hypot(np.std(logs, ddof=1), level_error(samples))
+    quantile = scipy.special.stdtrit(_REFITTED - 1, 1.0 - _CHANCE)
+    if np.log(np.max(larger)) <= np.mean(logs) + quantile * spread:
+        return []
+    return [
+        f"{network.names[int(np.argmax(larger))]}: errors of the equations that last longer than"
+        f" white noise make its standard error {np.max(larger):.2g} times larger: a term may be"
+        " missing, or noise is correlated in time"
+    ]
+
+
+def _enlargement(
+    fit: Identification, simulated: Float[np.ndarray, " coefficients"]
+) -> Float[np.ndarray, " coefficients"]:
+    """Standard errors of residuals over those of simulated noise; 0 for what is not determined."""
+    residual, determined = np.asarray(fit.standard_error), np.asarray(fit.determined)
+    return np.where(determined, residual, 0.0) / np.maximum(simulated, np.finfo(float).tiny)
 
 
 def _corrected(

@@ -12,9 +12,9 @@ from jaxtyping import Array, Float
 
 from .._environment import require_float64
 from ..recordings import Patterns
+from ._description import DescriptionError
 from ._network import SystemNetwork
 from ._system import System
-from .description import DescriptionError
 
 
 if TYPE_CHECKING:
@@ -36,21 +36,18 @@ class Simulation:
     - `time`: (samples,) [s].
     - `simulated`, `recorded`: (samples, m) in the variables' units; not finite where a simulation
       left all bounds.
-    - `step_error`: (m,) root mean square difference from a simulation with as many steps of
-      integration, alternately a third shorter and longer: with the default solver nearly twice the
-      error that its steps leave.
     """
 
     names: tuple[str, ...]
     time: Float[np.ndarray, " samples"]
     simulated: Float[np.ndarray, "samples variables"]
     recorded: Float[np.ndarray, "samples variables"]
-    step_error: Float[np.ndarray, " variables"]
 
     @property
     def error(self) -> Float[np.ndarray, " variables"]:
         """Root mean square difference between simulation and recording, (m,)."""
-        return _root_mean_square(self.simulated, self.recorded)
+        with np.errstate(over="ignore", invalid="ignore"):  # where a simulation left all bounds
+            return np.sqrt(np.mean((self.simulated - self.recorded) ** 2, axis=0))
 
     @property
     def relative_error(self) -> Float[np.ndarray, " variables"]:
@@ -115,7 +112,7 @@ def simulate_system(
       `system.network`.
     - `recorded`: names of variables that are taken from the recording although equations contain
       their derivatives, such as a shaft's speed that a drive prescribes.
-    - `substeps`: steps of integration between two samples, 2 or more.
+    - `substeps`: steps of integration between two samples.
     - `solver`: of `diffrax`; by default `Tsit5`, of fifth order. A stiff system needs an implicit
       one, such as `Kvaerno5`, or more substeps.
 
@@ -126,223 +123,165 @@ def simulate_system(
 
     - `DescriptionError`: the equations cannot be solved for the highest derivatives, or a name in
       `recorded` is no variable.
-    - `ValueError`: another number of coefficients, or fewer than two substeps.
+    - `ValueError`: another number of coefficients, or fewer than one substep.
 
-    >>> import numpy as np, sympy as sp
-    >>> from sympy.physics.mechanics import dynamicsymbols
-    >>> from jaxcslc.systems import (
-    ...     Constant, System, SystemRecording, Variable, simulate_system, system_patterns
-    ... )
-    >>> x, u = dynamicsymbols("x u")
-    >>> T = sp.Symbol("T")
-    >>> equations = {"balance": sp.Eq(u - x, T * x.diff())}
-    >>> lag = System("lag", equations, (Variable(x), Variable(u)), (Constant(T),))
-    >>> t = np.linspace(0, 2, 201)
-    >>> recording = SystemRecording(t, {"x": np.exp(-t / 0.5), "u": 0 * t})
-    >>> simulation = simulate_system(lag, np.array([0.5]), system_patterns(lag, recording))
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.systems import simulate_system, system_patterns
+    >>> tank, recording = jc.examples.tank()
+    >>> simulation = simulate_system(tank, np.array([3.0, 0.5]), system_patterns(tank, recording))
     >>> bool(simulation.relative_error[0] < 1e-3)
     True
     """
     network = system.network if network is None else network
-    states = _states(system, network, recorded)
     k = jnp.asarray(k)
     if k.shape != (network.size,):
         raise ValueError(f"k: expected shape ({network.size},), got {k.shape}")
-    if substeps < 2:
-        raise ValueError(f"substeps is {substeps}; expected 2 or more")
+    if substeps < 1:
+        raise ValueError(f"substeps is {substeps}; expected 1 or more")
+    model = _Model.of(network, k, recorded)
     motion = jnp.asarray(patterns.q), jnp.asarray(patterns.qd), jnp.asarray(patterns.qdd)
     time = np.asarray(patterns.time, float)
     require_float64(time, *motion)
-    _check_linear(system, network, k, states, motion)
+    _check_linear(model, motion)
     if solver is None:
         import diffrax  # with its own dependencies, half a second
 
         solver = diffrax.Tsit5()
-    simulated, uneven = (
-        np.asarray(_solved(network, k, states, jnp.asarray(time), steps, motion, solver))
-        for steps in (_steps(time, substeps, 0.0), _steps(time, substeps, 1.0 / 3.0))
-    )
+    within = time[:-1, None] + np.diff(time)[:, None] * np.arange(substeps) / substeps
+    steps = np.append(within.ravel(), time[-1])
     return Simulation(
-        tuple(system.variables[index].name for index in states.indices),
+        tuple(system.variables[index].name for index in model.states),
         time,
-        simulated,
-        np.asarray(patterns.q)[:, list(states.indices)],
-        _root_mean_square(simulated, uneven),
+        np.asarray(_solved(model, jnp.asarray(time), jnp.asarray(steps), motion, solver)),
+        np.asarray(patterns.q)[:, list(model.states)],
     )
 
 
-def _root_mean_square(
-    path: Float[np.ndarray, "samples variables"], other: Float[np.ndarray, "samples variables"]
-) -> Float[np.ndarray, " variables"]:
-    """Return the RMS difference over the samples; infinite or NaN where one left all bounds."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.sqrt(np.mean((path - other) ** 2, axis=0))
+Motion = tuple[Array, Array, Array]
+"""Values, first and second derivatives of all variables."""
 
 
-@dataclasses.dataclass(frozen=True)
-class _States:
-    """Simulated variables and their orders: constants of compiled functions.
+class _Model(eqx.Module):
+    """The identified equations, to be solved for the highest derivatives of the states.
 
-    - `indices`: of the variables; `orders`: of their highest derivatives, 1 or 2.
+    - `states`: indices of the variables that are simulated.
+    - `second`: for each of them, whether its second derivative is the highest.
     - `others`: indices of the variables that the recording prescribes.
     """
 
-    indices: tuple[int, ...]
-    orders: tuple[int, ...]
-    others: tuple[int, ...]
+    network: SystemNetwork
+    k: Array
+    states: tuple[int, ...] = eqx.field(static=True)
+    second: tuple[bool, ...] = eqx.field(static=True)
+    others: tuple[int, ...] = eqx.field(static=True)
 
-    @property
-    def second(self) -> np.ndarray:
-        """Positions, among the simulated variables, of those whose rate is a state too."""
-        return np.flatnonzero(np.array(self.orders) == 2)
-
-
-def _states(system: System, network: SystemNetwork, recorded: Sequence[str]) -> _States:
-    names = [variable.name for variable in system.variables]
-    for name in recorded:
-        if name not in names:
+    @classmethod
+    def of(cls, network: SystemNetwork, k: Array, recorded: Sequence[str]) -> "_Model":
+        names = network.variables
+        for name in recorded:
+            if name not in names:
+                raise DescriptionError(
+                    f"{network.name}: recorded: no variable is called {name!r}; expected some of"
+                    f" {', '.join(names)}"
+                )
+        orders = {
+            index: order
+            for index, (name, order) in enumerate(zip(names, network.highest, strict=True))
+            if order > 0 and name not in recorded
+        }
+        if len(orders) != network.joint_count:
+            listed = ", ".join(names[index] for index in orders) or "none"
             raise DescriptionError(
-                f"{system.name}: recorded: no variable is called {name!r}; expected some of"
-                f" {', '.join(names)}"
+                f"{network.name}: {network.joint_count} equations for the highest derivatives of"
+                f" {len(orders)} variables ({listed}): expected as many; variables that the"
+                " recording prescribes are named by `recorded`"
             )
-    orders = {
-        index: order
-        for index, (name, order) in enumerate(zip(names, network.highest, strict=True))
-        if order > 0 and name not in recorded
-    }
-    if len(orders) != network.joint_count:
-        listed = ", ".join(names[index] for index in orders) or "none"
-        raise DescriptionError(
-            f"{system.name}: {network.joint_count} equations for the highest derivatives of"
-            f" {len(orders)} variables ({listed}): expected as many; variables that the recording"
-            " prescribes are named by `recorded`"
-        )
-    others = tuple(index for index in range(len(names)) if index not in orders)
-    return _States(tuple(orders), tuple(orders.values()), others)
+        others = tuple(index for index in range(len(names)) if index not in orders)
+        return cls(network, k, tuple(orders), tuple(x == 2 for x in orders.values()), others)
+
+    def residual(
+        self, motion: Motion, highest: Float[Array, " states"]
+    ) -> Float[Array, " equations"]:
+        """Return the error of the equations at one sample.
+
+        - `motion`: (v,) each; the highest derivatives of states are `highest` instead.
+        """
+        q, qd, qdd = motion
+        at, second = np.array(self.states), np.array(self.second)
+        qd = qd.at[at].set(jnp.where(second, qd[at], highest))
+        qdd = qdd.at[at].set(jnp.where(second, highest, 0.0))
+        return self.network.residual(self.k, q, qd, qdd)
+
+    def highest(self, motion: Motion) -> Float[Array, " states"]:
+        """Return the highest derivatives of the states."""
+        residual = lambda highest: self.residual(motion, highest)
+        still = jnp.zeros(len(self.states))
+        return -jnp.linalg.solve(jax.jacfwd(residual)(still), residual(still))
 
 
-def _residual(
-    network: SystemNetwork,
-    k: Array,
-    states: _States,
-    motion: tuple[Array, Array, Array],
-    highest: Float[Array, " states"],
-) -> Float[Array, " equations"]:
-    """The error of the equations at one sample.
-
-    - `motion`: values and derivatives of all variables, (v,) each; the highest derivatives of
-      states are `highest` in place of what it has.
-    """
-    q, qd, qdd = motion
-    indices, second = np.array(states.indices), np.array(states.orders) == 2
-    qd = qd.at[indices].set(jnp.where(second, qd[indices], highest))
-    qdd = qdd.at[indices].set(jnp.where(second, highest, 0.0))
-    return network.residual(k, q, qd, qdd)
-
-
-def _highest(
-    network: SystemNetwork, k: Array, states: _States, motion: tuple[Array, Array, Array]
-) -> Float[Array, " states"]:
-    """The highest derivatives of the states."""
-    residual = lambda highest: _residual(network, k, states, motion, highest)
-    still = jnp.zeros(len(states.indices))
-    return -jnp.linalg.solve(jax.jacfwd(residual)(still), residual(still))
-
-
-def _check_linear(
-    system: System,
-    network: SystemNetwork,
-    k: Array,
-    states: _States,
-    motion: tuple[Array, Array, Array],
-) -> None:
-    """Checks on the recording that highest derivatives appear linearly, and that they can be
-    solved for."""
-    matrix, change = _matrices(network, k, states, motion)
+def _check_linear(model: _Model, motion: Motion) -> None:
+    """Check that highest derivatives appear linearly along a recording, and can be solved for."""
+    matrix, change = _matrices(model, motion)
     if np.any(np.asarray(change) > _LINEAR):
         raise DescriptionError(
-            f"{system.name}: highest derivatives appear in another way than linearly; such"
+            f"{model.network.name}: highest derivatives appear in another way than linearly; such"
             " equations can be identified, but not simulated"
         )
-    condition = np.linalg.cond(np.asarray(matrix))
-    if not np.all(condition < 1.0 / np.finfo(float).eps):
-        where = float(np.mean(~(condition < 1.0 / np.finfo(float).eps)))
+    solvable = np.linalg.cond(np.asarray(matrix)) < 1.0 / np.finfo(float).eps
+    if not np.all(solvable):
         raise DescriptionError(
-            f"{system.name}: the equations cannot be solved for the highest derivatives at"
-            f" {100 * where:.3g} % of the samples: what multiplies them is singular"
+            f"{model.network.name}: the equations cannot be solved for the highest derivatives at"
+            f" {100 * np.mean(~solvable):.3g} % of the samples: what multiplies them is singular"
         )
 
 
 @eqx.filter_jit
-def _matrices(
-    network: SystemNetwork, k: Array, states: _States, motion: tuple[Array, Array, Array]
-) -> tuple[Array, Array]:
+def _matrices(model: _Model, motion: Motion) -> tuple[Array, Array]:
     """Return, at all samples, the matrices that multiply highest derivatives, rows of unit length.
 
     The second result is by how much they differ where the derivatives are others.
     """
-    indices, second = np.array(states.indices), np.array(states.orders) == 2
+    at, second = np.array(model.states), np.array(model.second)
 
-    def at(sample: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        slope = jax.jacfwd(lambda highest: _residual(network, k, states, sample, highest))
-        recorded = jnp.where(second, sample[2][indices], sample[1][indices])
-        matrix, other = slope(jnp.zeros(len(indices))), slope(recorded + 1.0)
+    def of_sample(sample: Motion) -> tuple[Array, Array]:
+        slope = jax.jacfwd(lambda highest: model.residual(sample, highest))
+        recorded = jnp.where(second, sample[2][at], sample[1][at])
+        matrix, other = slope(jnp.zeros(len(at))), slope(recorded + 1.0)
         size = jnp.linalg.norm(matrix, axis=1, keepdims=True)
         size = jnp.where(size > 0.0, size, 1.0)
         return matrix / size, jnp.max(jnp.abs(other - matrix) / size)
 
-    return jax.lax.map(at, motion, batch_size=256)
-
-
-def _steps(
-    time: Float[np.ndarray, " samples"], substeps: int, shift: float
-) -> Float[Array, " steps"]:
-    """Instants that integration steps to.
-
-    - `shift`: by which part of a step every second one between two samples is earlier.
-    """
-    part = np.arange(substeps) - shift * (np.arange(substeps) % 2)
-    steps = time[:-1, None] + np.diff(time)[:, None] * part / substeps
-    return jnp.asarray(np.append(steps.ravel(), time[-1]))
+    return jax.lax.map(of_sample, motion, batch_size=256)
 
 
 @eqx.filter_jit
-def _solved(
-    network: SystemNetwork,
-    k: Array,
-    states: _States,
-    time: Array,
-    steps: Array,
-    motion: tuple[Array, Array, Array],
-    solver: Any,
-) -> Array:
+def _solved(model: _Model, time: Array, steps: Array, motion: Motion, solver: Any) -> Array:
+    """Return the states at all samples, integrated in these steps."""
     import diffrax
 
-    indices, second = np.array(states.indices), states.second
-    others = np.array(states.others, dtype=int)
-    m = len(indices)
+    at, second = np.array(model.states), np.flatnonzero(model.second)
+    others = np.array(model.others, dtype=int)
     inputs = diffrax.LinearInterpolation(time, jnp.stack([x[:, others] for x in motion], axis=1))
 
     def derivative(t: Any, state: Array, args: None) -> Array:
         del args
         q, qd, qdd = jnp.zeros((3, motion[0].shape[1])).at[:, others].set(inputs.evaluate(t))
-        q, qd = q.at[indices].set(state[:m]), qd.at[indices[second]].set(state[m:])
-        highest = _highest(network, k, states, (q, qd, qdd))
-        rate = highest.at[second].set(state[m:])
+        q, qd = q.at[at].set(state[: len(at)]), qd.at[at[second]].set(state[len(at) :])
+        highest = model.highest((q, qd, qdd))
+        rate = highest.at[second].set(state[len(at) :])
         return jnp.concatenate([rate, highest[second]])
 
-    start = jnp.concatenate([motion[0][0, indices], motion[1][0, indices[second]]])
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(derivative),
         solver,
         t0=time[0],
         t1=time[-1],
         dt0=None,
-        y0=start,
+        y0=jnp.concatenate([motion[0][0, at], motion[1][0, at[second]]]),
         saveat=diffrax.SaveAt(ts=time),
         stepsize_controller=diffrax.StepTo(steps),
         max_steps=len(steps),
         throw=False,
     )
     assert solution.ys is not None
-    return solution.ys[:, :m]
+    return solution.ys[:, : len(at)]

@@ -1,29 +1,178 @@
-"""`System`: equations, variables and constants, and their stages (thesis 8.2.5, C.2)."""
+"""`System`: equations, variables and constants, and their stages (thesis 8.2.5, C.2).
+
+Equations of mechanical systems come from Lagrange or from SymPy's mechanics.
+"""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
+from sympy import Eq, Heaviside, Integer, Rational, lambdify, sign, solve, sympify
 
-from .algebra import Separation, separate
-from .description import (
+from .._environment import array_namespace
+from ._description import (
     Constant,
     DescriptionError,
     MotionSymbols,
     Variable,
-    check_unit,
-    lagrange_equations,
-    mechanics_equations,
-    named,
+    name_of,
+    parse_unit,
 )
+from ._separation import Separation, separate
 
 
 if TYPE_CHECKING:
     from ._network import SystemNetwork
+
+
+def lagrange_equations(
+    lagrangian: Any,
+    coordinates: Sequence[Any],
+    forces: Mapping[Any, Any] | None = None,
+    dissipation: Any = 0,
+) -> dict[str, Any]:
+    """Lagrange's equations of the second kind, one for each coordinate and with its name.
+
+        Q = d/dt dL/dq' - dL/dq + dD/dq'
+
+    **Arguments**
+
+    - `lagrangian`: L, kinetic less potential energy.
+    - `coordinates`: functions of time.
+    - `forces`: the generalised force Q of a coordinate; zero if omitted.
+    - `dissipation`: Rayleigh's D, half the power that viscous friction takes.
+
+    **Returns** equations by name, for `System`.
+
+    **Raises** `DescriptionError` for a force of no coordinate.
+
+    >>> from sympy import Symbol
+    >>> from sympy.physics.mechanics import dynamicsymbols
+    >>> from jaxcslc.systems import lagrange_equations
+    >>> x, m = dynamicsymbols("x"), Symbol("m")
+    >>> lagrange_equations(m * x.diff()**2 / 2, [x], {x: dynamicsymbols("F")})
+    {'x': Eq(F(t), m*Derivative(x(t), (t, 2)))}
+    """
+    forces = dict(forces or {})
+    lagrangian, dissipation = sympify(lagrangian), sympify(dissipation)
+    if others := [force for force in forces if force not in coordinates]:
+        listed = ", ".join(map(name_of, coordinates))
+        raise DescriptionError(f"forces: {others[0]} is no coordinate; expected some of {listed}")
+    equations: dict[str, Any] = {}
+    for q in coordinates:
+        (time,) = q.args
+        rate = q.diff(time)
+        inertia = lagrangian.diff(rate).diff(time) - lagrangian.diff(q) + dissipation.diff(rate)
+        equations[name_of(q)] = Eq(sympify(forces.get(q, 0)), inertia, evaluate=False)
+    return equations
+
+
+def mechanics_equations(method: Any) -> dict[str, Any]:
+    """The equations of a `LagrangesMethod` or `KanesMethod` of `sympy.physics.mechanics`.
+
+    They are those that the method forms, 0 = M u' - f, with generalised speeds expressed by the
+    derivatives of the coordinates.
+
+    **Arguments**
+
+    - `method`: without constraints, after its equations were formed
+      (`form_lagranges_equations` or `kanes_equations`).
+
+    **Returns** equations by name of the coordinate, for `System`.
+
+    **Raises** `DescriptionError` for a method with constraints, or without equations.
+
+    >>> from sympy import Symbol
+    >>> from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
+    >>> from jaxcslc.systems import mechanics_equations
+    >>> x, m, k = dynamicsymbols("x"), Symbol("m"), Symbol("k")
+    >>> method = LagrangesMethod(m * x.diff()**2 / 2 - k * x**2 / 2, [x])
+    >>> _ = method.form_lagranges_equations()
+    >>> mechanics_equations(method)
+    {'x': Eq(0, k*x(t) + m*Derivative(x(t), (t, 2)))}
+    """
+    try:
+        coordinates, speeds = list(method.q), list(method.u)
+        mass, forcing = method.mass_matrix, method.forcing
+    except (AttributeError, ValueError) as error:
+        raise DescriptionError(
+            f"{type(method).__name__}: {error}; expected a LagrangesMethod or KanesMethod whose"
+            " equations were formed"
+        ) from None
+    if mass.shape != (len(coordinates), len(coordinates)) or len(speeds) != len(coordinates):
+        raise DescriptionError(
+            f"{type(method).__name__}: {len(coordinates)} coordinates, {len(speeds)} speeds and"
+            f" {mass.shape[0]} equations; expected as many of each, without constraints"
+        )
+    rates = [q.diff() for q in coordinates]
+    replaced: dict[Any, Any] = {}
+    if speeds != rates:
+        kinematic = method.kindiffdict()
+        differences = [rate - kinematic[rate] for rate in rates]
+        solution = solve(differences, speeds, dict=True)
+        if len(solution) != 1:
+            raise DescriptionError(
+                f"{type(method).__name__}: speeds do not follow from the coordinates' derivatives"
+            )
+        replaced = solution[0]
+    accelerations = [replaced.get(u, u).diff().doit() for u in speeds]
+    equations: dict[str, Any] = {}
+    for row, q in enumerate(coordinates):
+        inertia = sum(mass[row, j].subs(replaced) * accelerations[j] for j in range(len(speeds)))
+        equations[name_of(q)] = Eq(0, inertia - forcing[row].subs(replaced), evaluate=False)
+    return equations
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Formulas:
+    """SymPy expressions of motion and searched constants as one function, of NumPy or JAX.
+
+    **Attributes**
+
+    - `symbols`: (variable, order) of each motion symbol that occurs.
+    - `expressions`: to be evaluated.
+    - `arguments`: the symbols themselves, then those of searched constants.
+    """
+
+    symbols: tuple[tuple[int, int], ...]
+    expressions: tuple[Any, ...]
+    arguments: tuple[Any, ...]
+
+    @classmethod
+    def of(cls, system: "System", expressions: Sequence[Any]) -> "Formulas":
+        """Return the formulas of expressions in the symbols of a system."""
+        used = {symbol for expression in expressions for symbol in expression.free_symbols}
+        symbols = {key: x for key, x in system.symbols.motion.items() if x in used}
+        searched = (system.symbols.constants[constant.name] for constant in system.nonlinear)
+        return cls(tuple(symbols), tuple(expressions), (*symbols.values(), *searched))
+
+    @cached_property
+    def _jax(self) -> Callable[..., Any]:
+        return lambdify(self.arguments, list(self.expressions), modules="jax", cse=True)
+
+    @cached_property
+    def _numpy(self) -> Callable[..., Any]:
+        return lambdify(self.arguments, list(self.expressions), modules="numpy", cse=True)
+
+    def __call__(
+        self,
+        motion: Sequence[Float[Array | np.ndarray, "*batch variables"]],
+        nonlinear: Sequence[Any] | Float[Array | np.ndarray, " nonlinear"],
+    ) -> list[Float[Array | np.ndarray, "*batch"]]:
+        """Evaluate the expressions: one array each.
+
+        - `motion`: values, first and second derivatives of the variables.
+        """
+        xp = array_namespace(*motion)
+        function = self._numpy if xp is np else self._jax
+        arguments = [motion[order][..., variable] for variable, order in self.symbols]
+        dtype, shape = motion[0].dtype, motion[0].shape[:-1]
+        values = function(*arguments, *(xp.asarray(x, dtype) for x in nonlinear))
+        return [xp.broadcast_to(xp.asarray(value, dtype), shape) for value in values]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -75,71 +224,21 @@ class System:
             object.__setattr__(self, field, MappingProxyType(dict(getattr(self, field))))
         if not self.equations:
             raise DescriptionError(f"system {self.name!r}: no equations; expected one or more")
-        if both := named(self.variables, "variable").keys() & named(self.constants, "constant"):
-            raise DescriptionError(f"{min(both)!r} is a variable and a constant; expected one")
+        described: dict[str, str] = {}
+        for what in ("variable", "constant"):
+            for name in (entry.name for entry in getattr(self, f"{what}s")):
+                if described.get(name) == what:
+                    raise DescriptionError(f"{what} {name!r} is described twice; expected once")
+                if name in described:
+                    raise DescriptionError(f"{name!r} is a variable and a constant; expected one")
+                described[name] = what
         for output, unit in self.output_units.items():
             if output not in self.equations:
                 raise DescriptionError(
                     f"units: no equation {output!r}; expected some of {', '.join(self.equations)}"
                 )
-            check_unit(unit, f"units of {output!r}")
+            parse_unit(unit, f"units of {output!r}")
         self._check_use()
-
-    @classmethod
-    def from_lagrangian(
-        cls,
-        name: str,
-        lagrangian: Any,
-        coordinates: Sequence[Any],
-        *,
-        variables: Sequence[Variable],
-        constants: Sequence[Constant],
-        forces: Mapping[Any, Any] | None = None,
-        dissipation: Any = 0,
-        output_units: Mapping[str, str] | None = None,
-    ) -> "System":
-        """A mechanical system from its energies: Lagrange's equations are derived.
-
-        - `lagrangian`, `coordinates`, `forces`, `dissipation`: as of `lagrange_equations`.
-        - the others: as the attributes. Equations are named after the coordinates.
-
-        **Raises** `DescriptionError` as `System` and `lagrange_equations`.
-
-        >>> import sympy
-        >>> from sympy.physics.mechanics import dynamicsymbols
-        >>> from jaxcslc.systems import Constant, System, Variable
-        >>> x, force = dynamicsymbols("x force")
-        >>> mass, stiffness = sympy.symbols("mass stiffness")
-        >>> spring = System.from_lagrangian(
-        ...     "spring", (mass * x.diff() ** 2 - stiffness * x**2) / 2, [x], forces={x: force},
-        ...     variables=[Variable(x, "m"), Variable(force, "N")],
-        ...     constants=[Constant(mass, "kg"), Constant(stiffness, "N/m")],
-        ... )
-        >>> spring.network.names
-        ('mass', 'stiffness')
-        """
-        equations = lagrange_equations(lagrangian, coordinates, forces, dissipation)
-        return cls(name, equations, tuple(variables), tuple(constants), dict(output_units or {}))
-
-    @classmethod
-    def from_mechanics(
-        cls,
-        name: str,
-        method: Any,
-        *,
-        variables: Sequence[Variable],
-        constants: Sequence[Constant],
-        output_units: Mapping[str, str] | None = None,
-    ) -> "System":
-        """A mechanical system from a `LagrangesMethod` or `KanesMethod` of SymPy.
-
-        - `method`: as of `mechanics_equations`.
-        - the others: as the attributes. Equations are named after the coordinates.
-
-        **Raises** `DescriptionError` as `System` and `mechanics_equations`.
-        """
-        equations = mechanics_equations(method)
-        return cls(name, equations, tuple(variables), tuple(constants), dict(output_units or {}))
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -161,10 +260,15 @@ class System:
         """The constants that are searched within bounds."""
         return tuple(c for c in self.constants if c.bounds is not None)
 
+    @property
+    def middles(self) -> tuple[float, ...]:
+        """The middle of the bounds of each of `nonlinear`."""
+        return tuple(0.5 * sum(c.bounds) for c in self.nonlinear if c.bounds is not None)
+
     @cached_property
     def symbols(self) -> MotionSymbols:
         """The symbols of stages two and three."""
-        return MotionSymbols.of(self.variables, self.constants)
+        return MotionSymbols(self.variables, self.constants)
 
     @cached_property
     def symbolic(self) -> Mapping[str, tuple[Any, Any]]:
@@ -180,8 +284,6 @@ class System:
 
         An equation whose left side alone has unknown constants is turned round.
         """
-        from sympy import Rational
-
         unknown = {self.symbols.constants[constant.name] for constant in self.unknown}
         values = {
             self.symbols.constants[c.name]: Rational(repr(float(c.value)))
@@ -232,8 +334,6 @@ class System:
     @cached_property
     def signs(self) -> tuple[tuple[Any, ...], ...]:
         """Arguments of the signs in each equation."""
-        from sympy import Heaviside, sign
-
         atoms = ((left - right).atoms(sign, Heaviside) for left, right in self.numeric.values())
         return tuple(
             tuple(sorted({x.args[0] for x in of_equation}, key=str)) for of_equation in atoms
@@ -260,35 +360,18 @@ class System:
 
         Searched constants are taken at the middle of their bounds.
         """
-        from sympy import lambdify
-
-        middles = {
-            self.symbols.constants[c.name]: 0.5 * sum(c.bounds)
-            for c in self.nonlinear
-            if c.bounds is not None
-        }
-        symbols = list(self.symbols.motion.values())
-        function = lambdify(symbols, [x.subs(middles) for x in expressions], modules="numpy")
-        motion = (q, qd, qdd)
-        arguments = [motion[order][:, index] for index, order in self.symbols.motion]
         with np.errstate(all="ignore"):
-            values = function(*arguments)
-        return np.stack([np.broadcast_to(np.asarray(x, float), len(q)) for x in values], axis=1)
+            values = Formulas.of(self, expressions)((q, qd, qdd), self.middles)
+        return np.stack(values, axis=1)
 
     def with_values(self, values: Mapping[str, float]) -> "System":
         """The system with values of some constants.
 
         **Raises** `DescriptionError` for names of no constant.
 
-        >>> from jaxcslc.systems import Constant, System, Variable
-        >>> import sympy
-        >>> x, y, a, n = sympy.symbols("x y a n")
-        >>> power = System(
-        ...     "power law", {"y": sympy.Eq(y, a * x**n)}, (Variable(x), Variable(y)),
-        ...     (Constant(a), Constant(n, bounds=(0.2, 1.0))),
-        ... )
-        >>> [constant.name for constant in power.with_values({"n": 0.5}).nonlinear]
-        []
+        >>> import jaxcslc as jc
+        >>> jc.examples.tank()[0].with_values({"area": 3.0}).network.names
+        ('outlet',)
         """
         names = [constant.name for constant in self.constants]
         if unknown := [name for name in values if name not in names]:
@@ -324,8 +407,6 @@ class System:
 
     def _sides(self, name: str) -> tuple[Any, Any]:
         """Return the two sides of an equation in plain symbols."""
-        from sympy import Eq, Integer
-
         equation = self.equations[name]
         if isinstance(equation, bool) or getattr(equation, "is_Boolean", False):
             raise DescriptionError(

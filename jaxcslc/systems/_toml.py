@@ -1,20 +1,188 @@
-"""Systems read from TOML files."""
+"""Systems as text: the reader of equations, and of TOML files."""
 
+import ast
 import keyword
+import math
+import operator
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+import sympy
+from sympy import Eq, Integer, Rational, Symbol
+from sympy.core.relational import Relational
+from sympy.logic.boolalg import BooleanAtom
+from sympy.physics.mechanics import dynamicsymbols
+
 from .._toml_document import toml_document
+from ._description import Constant, DescriptionError, Variable
 from ._system import System
-from .description import RESERVED, Constant, DescriptionError, Variable, parse_equation
+
+
+# Functions of one number that a formula may contain, by their names in SymPy.
+_FUNCTIONS = {
+    **{
+        name: name for name in ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh")
+    },
+    **{name: name for name in ("exp", "log", "sqrt", "sign")},
+    "abs": "Abs",
+}
+_RATES = {"dot": 1, "ddot": 2}
+_LONGEST = 80  # of a formula in a message
+RESERVED = ("pi", "min", "max", "where", *_RATES, *_FUNCTIONS)
+"""Names that formulas give a meaning."""
+_OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+_COMPARISONS: dict[type, Callable[[Any, Any], Any]] = {
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+}
+
+
+def parse_equation(text: str, variables: Collection[str], constants: Collection[str]) -> Any:
+    """An equation `left = right` as SymPy's, or an expression that is zero.
+
+    Names, numbers, `+ - * / ** ^`, `dot(x)` and `ddot(x)` for time derivatives, `sin cos tan asin
+    acos atan sinh cosh tanh exp log sqrt sign abs`, `min max` of several, and `where(x > 0, A, B)`.
+    Nothing is executed.
+
+    **Raises** `DescriptionError` for anything else, naming it.
+
+    >>> parse_equation("F = m*ddot(x) + k*x", ["x", "F"], ["m", "k"])
+    Eq(F(t), k*x(t) + m*Derivative(x(t), (t, 2)))
+    """
+    sides = [side.strip() for side in _split(text)]
+    if len(sides) > 2 or not all(sides):
+        raise DescriptionError(f"got {text!r}; expected left = right")
+    parsed = [parse_formula(side, variables, constants) for side in sides]
+    return Eq(*parsed, evaluate=False) if len(parsed) == 2 else parsed[0]
+
+
+def parse_formula(text: str, variables: Collection[str], constants: Collection[str]) -> Any:
+    """Parse one side of an equation; see `parse_equation`."""
+    try:
+        tree = ast.parse(text.replace("^", "**"), mode="eval")
+    except (SyntaxError, ValueError, RecursionError) as error:
+        reason = error.msg if isinstance(error, SyntaxError) else str(error)
+        raise DescriptionError(f"cannot read {_short(text)}: {reason}") from None
+    return _Reader(text, set(variables), set(constants)).read(tree.body)
+
+
+def _is_comparison(value: Any) -> bool:
+    return isinstance(value, Relational | BooleanAtom)
+
+
+def _short(text: str) -> str:
+    """A text in quotes, cut where it is long."""
+    return repr(text if len(text) <= _LONGEST else text[: _LONGEST - 2] + " …")
+
+
+def _split(text: str) -> list[str]:
+    """Split text at equals signs, those of comparisons left alone."""
+    for comparison in ("<=", ">="):
+        text = text.replace(comparison, comparison[0] + "\0")
+    return [side.replace("\0", "=") for side in text.split("=")]
+
+
+class _Reader:
+    """Walks the syntax tree of a formula."""
+
+    def __init__(self, text: str, variables: set[str], constants: set[str]) -> None:
+        self.text, self.variables, self.constants = text, variables, constants
+
+    def read(self, node: ast.AST) -> Any:
+        match node:
+            case ast.Constant(value=int() as value) if not isinstance(value, bool):
+                return Integer(value)
+            case ast.Constant(value=float() as value) if math.isfinite(value):
+                return Rational(repr(value))
+            case ast.Name(id=name):
+                return self._named(name)
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                return -self._number(operand)
+            case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+                return self._number(operand)
+            case ast.BinOp(left=left, op=sign, right=right) if type(sign) in _OPERATORS:
+                return _OPERATORS[type(sign)](self._number(left), self._number(right))
+            case ast.Compare(left=left, ops=[sign], comparators=[right]) if (
+                type(sign) in _COMPARISONS
+            ):
+                return _COMPARISONS[type(sign)](self.read(left), self.read(right))
+            case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
+                return self._called(name, arguments)
+            case _:
+                raise self._wrong(ast.unparse(node))
+
+    def _number(self, node: ast.AST) -> Any:
+        """Read a node that must not be a comparison."""
+        value = self.read(node)
+        if _is_comparison(value):
+            raise DescriptionError(
+                f"comparison {ast.unparse(node)!r} in {_short(self.text)}; expected it in"
+                " where(...)"
+            )
+        return value
+
+    def _named(self, name: str) -> Any:
+        if name in self.variables:
+            return dynamicsymbols(name)
+        if name in self.constants:
+            return sympy.Symbol(name)
+        if name == "pi":
+            return sympy.pi
+        raise DescriptionError(
+            f"unknown name {name!r}; expected a variable ({', '.join(sorted(self.variables))}) or a"
+            f" constant ({', '.join(sorted(self.constants)) or 'there are none'})"
+        )
+
+    def _called(self, name: str, arguments: list[ast.expr]) -> Any:
+        read = self.read if name == "where" else self._number
+        values = [read(argument) for argument in arguments]
+        if name in _RATES and len(values) == 1:
+            (argument,) = arguments
+            if not (isinstance(argument, ast.Name) and argument.id in self.variables):
+                raise DescriptionError(
+                    f"{name} of {ast.unparse(argument)!r}; expected the name of a variable"
+                )
+            for _ in range(_RATES[name]):
+                values = [values[0].diff()]
+            return values[0]
+        if name in _FUNCTIONS and len(values) == 1:
+            return getattr(sympy, _FUNCTIONS[name])(*values)
+        if name in ("min", "max") and len(values) > 1:
+            return getattr(sympy, name.capitalize())(*values)
+        if name == "where" and len(values) == 3:
+            condition, then, otherwise = values
+            if not _is_comparison(condition):
+                raise DescriptionError(
+                    "where: expected a comparison first, as in where(x > 0, A, B)"
+                )
+            return sympy.Piecewise((then, condition), (otherwise, True))
+        expected = (*_RATES, *_FUNCTIONS, "min", "max", "where")
+        if name not in expected:
+            raise DescriptionError(
+                f"unknown function {name!r}; expected one of {', '.join(expected)}"
+            )
+        raise DescriptionError(f"{name} of {len(values)} arguments in {_short(self.text)}")
+
+    def _wrong(self, part: str) -> DescriptionError:
+        return DescriptionError(
+            f"cannot read {part!r} in {_short(self.text)}; expected numbers, names, + - * / ** and"
+            " functions"
+        )
 
 
 _KEYS = {"name", "about", "variables", "constants", "equations", "units"}
 _VARIABLE_KEYS = {"unit", "column", "rate", "second_rate", "kind"}
 _CONSTANT_KEYS = {"unit", "value", "sign", "bounds"}
-_TEXTS = {"unit", "column", "rate", "second_rate", "kind", "sign"}
 
 
 def load_system(path: str | os.PathLike[str]) -> System:
@@ -67,9 +235,6 @@ def system_from(document: Mapping[str, Any], *, default_name: str = "system") ->
 
     **Raises** `DescriptionError`.
     """
-    from sympy import Symbol
-    from sympy.physics.mechanics import dynamicsymbols
-
     _check_keys(document, _KEYS, "the file")
     tables = {name: _table(document, name) for name in ("variables", "constants", "equations")}
     for name in ("variables", "equations"):
@@ -106,25 +271,23 @@ def _entry(name: str, entry: Any, keys: Collection[str]) -> dict[str, Any]:
     if not isinstance(entry, Mapping):
         raise DescriptionError(f'{name!r} is {entry!r}; expected a table, as in {{ unit = "m" }}')
     _check_keys(entry, keys, repr(name))
-    values: dict[str, Any] = {}
     for key, value in entry.items():
-        if key in _TEXTS:
-            right = isinstance(value, str)
-        elif key == "bounds":
-            right = isinstance(value, list) and len(value) == 2 and all(map(_is_number, value))
-        else:
-            right = _is_number(value)
-        if not right:
-            expected = (
-                "a text" if key in _TEXTS else "[LOW, HIGH]" if key == "bounds" else "a number"
-            )
+        expected, is_right = _VALUES.get(key, ("a text", lambda x: isinstance(x, str)))
+        if not is_right(value):
             raise DescriptionError(f"{name!r}: {key} is {value!r}; expected {expected}")
-        values[key] = tuple(map(float, value)) if key == "bounds" else value
-    return values
+    return {key: tuple(map(float, x)) if key == "bounds" else x for key, x in entry.items()}
 
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(map(_is_number, value))
+
+
+# What entries are that are not texts.
+_VALUES = {"value": ("a number", _is_number), "bounds": ("[LOW, HIGH]", _is_pair)}
 
 
 def _identifier(name: str) -> str:

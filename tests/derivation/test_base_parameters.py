@@ -10,9 +10,8 @@ from sympy.polys.matrices import DomainMatrix
 
 import jaxcslc
 from jaxcslc.derivation import Algebra, PositionRing, derive_algebra, link_twists
-from jaxcslc.derivation._exact import exact_number
-from jaxcslc.derivation._inertial_terms import InertialTerm, inertial_terms
-from jaxcslc.derivation._lagrange import gravity_vector, mass_matrix
+from jaxcslc.derivation._chain import exact_number
+from jaxcslc.derivation._lagrange import InertialTerm, gravity_vector, inertial_terms, mass_matrix
 from jaxcslc.manipulator import LinkParameters, Manipulator
 
 

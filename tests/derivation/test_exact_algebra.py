@@ -15,7 +15,7 @@ from sympy.polys.rings import ring as sympy_ring
 
 import jaxcslc
 from jaxcslc.derivation import Chain, PositionRing, derive_algebra, link_twists
-from jaxcslc.derivation._exact import exact_cos_sin, exact_number
+from jaxcslc.derivation._chain import exact_cos_sin, exact_number
 from jaxcslc.derivation._polynomials import SparsePolynomial
 from jaxcslc.manipulator import LinkInertia, Manipulator, RobotError
 

@@ -21,7 +21,7 @@ from jaxcslc.systems import (
     identify_system,
     search_constants,
 )
-from jaxcslc.systems._projected_error import ProjectedError
+from jaxcslc.systems._search import ProjectedError
 
 
 jax.config.update("jax_enable_x64", True)
@@ -87,8 +87,12 @@ def test_values_and_errors_agree_with_a_fit_of_all_constants_at_once(
     np.testing.assert_allclose(np.asarray(search.fit.standard_error)[order], errors, rtol=1e-3)
     assert search.values["n"] == pytest.approx(float(search.fit.k[order[2]]))
     assert abs(search.values["n"] - 0.7) < 4 * errors[2]
-    assert search.share == 1.0 and len(search.minima) == 1 and search.at_bound == ()
-    assert "no other was seen" in search.statement
+    assert (
+        search.minima[0].starts == search.starts
+        and len(search.minima) == 1
+        and search.at_bound == ()
+    )
+    assert "no other was seen" in str(search)
     assert "±" in str(search)
 
 
@@ -98,8 +102,7 @@ def test_the_gradient_of_the_projected_error_is_exact(
     """Kaufman's approximation leaves out a part that the error is orthogonal to."""
     patterns, _ = power_search
     network = powers().network
-    low, high = np.array([BOUNDS["n"]]).T
-    problem = ProjectedError.of(network, patterns, np.array([1.0, 0.5]), (low, high))
+    problem = ProjectedError.of(network, patterns, np.array([1.0, 0.5]))
     residual = jax.jit(lambda point: problem.residual(point))
     point, step = jnp.array([0.2]), 1e-5
     cost = lambda point: 0.5 * float(np.sum(np.asarray(residual(point)) ** 2))
@@ -153,8 +156,8 @@ def test_among_many_minima_the_best_is_that_of_an_exhaustive_search() -> None:
         assert minimum.error[0] == pytest.approx(error(minimum.values[0]), rel=1e-6)
         assert minimum.ratio == pytest.approx(minimum.error[0] / search.minima[0].error[0])
     assert sum(minimum.starts for minimum in search.minima) == 16
-    assert 0.0 <= search.share < 1.0 and 0.0 < search.unexplored <= 1.0
-    assert "Others: w = " in search.statement
+    assert search.minima[0].starts < 16 and 0.0 < search.unexplored <= 1.0
+    assert "Others: w = " in str(search)
 
 
 def test_a_constant_at_its_bound_stays_there_and_is_named(

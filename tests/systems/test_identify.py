@@ -94,7 +94,7 @@ def test_output_is_the_regressor_times_coefficients(
 ) -> None:
     network, k = cart.network, jnp.asarray(truth(cart))
     q, qd, qdd = rng.normal(size=(3, 4, 2))
-    output = transform(lambda q, qd, qdd: network.output(k, q, qd, qdd))(q, qd, qdd)
+    output = transform(lambda q, qd, qdd: network.torque(k, q, qd, qdd))(q, qd, qdd)
     regressor = transform(network.regressor)(q, qd, qdd)
     expected = 2.0 * qdd[:, :1] + 0.5 * qd[:, :1] + 0.3 * np.sign(qd[:, :1])
     np.testing.assert_allclose(output, expected, rtol=1e-14)

@@ -22,7 +22,7 @@ from jaxcslc.systems import (
     measurement_noise,
     system_patterns,
 )
-from jaxcslc.systems._measurement_noise import level_error
+from jaxcslc.systems._recording import level_error
 from tests.systems.conftest import INTERVAL, SAMPLES, TRUE_CART, cart_motion
 
 

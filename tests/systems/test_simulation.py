@@ -58,7 +58,6 @@ def test_a_first_order_lag_follows_its_closed_form(lag: System) -> None:
     np.testing.assert_allclose(simulation.simulated[:, 0], exact, atol=INTEGRATED)
     assert simulation.names == ("x",)
     assert simulation.horizon() == pytest.approx(2.0)
-    assert np.all(simulation.step_error < 1e-7)
     # Another coefficient: the closed form of the other solution, and the error between them.
     other = (t + 1.0) / 2.5 - 0.08 + (exact[0] - 0.32) * np.exp(-5.0 * t)
     wrong = simulate_system(lag, lag.separation.values({"a": 0.5, "b": 2.5}), patterns)
@@ -152,8 +151,8 @@ def test_wrong_numbers_are_named(lag: System) -> None:
     patterns = patterns_of(lag, time, x=time, u=time)
     with pytest.raises(ValueError, match=r"k: expected shape \(2,\)"):
         simulate_system(lag, np.ones(3), patterns)
-    with pytest.raises(ValueError, match="substeps is 1"):
-        simulate_system(lag, np.ones(2), patterns, substeps=1)
+    with pytest.raises(ValueError, match="substeps is 0"):
+        simulate_system(lag, np.ones(2), patterns, substeps=0)
 
 
 def test_a_simulation_without_bounds_is_not_finite_and_says_how_long_it_followed(

@@ -20,10 +20,12 @@ from jaxcslc.systems import (
     DescriptionError,
     System,
     Variable,
+    lagrange_equations,
     load_system,
+    mechanics_equations,
     parse_equation,
 )
-from jaxcslc.systems.description._entries import parse_unit, product_of_units, unit_text
+from jaxcslc.systems._description import parse_unit, product_of_units, unit_text
 from tests.conftest import run
 from tests.systems.conftest import CART
 
@@ -47,9 +49,8 @@ def pendulum(kind: str) -> System:
     if kind == "lagrangian":
         dissipation = b * theta.diff() ** 2 / 2
         forces = {theta: torque}
-        return System.from_lagrangian(
-            "pendulum", energy, [theta], forces=forces, dissipation=dissipation, **PENDULUM
-        )
+        equations = lagrange_equations(energy, [theta], forces, dissipation)
+        return System("pendulum", equations, **PENDULUM)
     frame, origin = ReferenceFrame("N"), Point("O")
     origin.set_vel(frame, 0)
     rotated = frame.orientnew("B", "Axis", (theta, frame.z))
@@ -57,7 +58,7 @@ def pendulum(kind: str) -> System:
     if kind == "LagrangesMethod":
         method = LagrangesMethod(energy, [theta], [(rotated, force * frame.z)], frame=frame)
         method.form_lagranges_equations()
-        return System.from_mechanics("pendulum", method, **PENDULUM)
+        return System("pendulum", mechanics_equations(method), **PENDULUM)
     omega = dynamicsymbols("omega")
     rotated.set_ang_vel(frame, omega * frame.z)
     bob = origin.locatenew("P", -l * rotated.y)
@@ -65,7 +66,7 @@ def pendulum(kind: str) -> System:
     loads = [(bob, -m * g * frame.y), (rotated, (torque - b * omega) * frame.z)]
     method = KanesMethod(frame, [theta], [omega], [theta.diff() - omega])
     method.kanes_equations([Particle("bob", bob, m)], loads)
-    return System.from_mechanics("pendulum", method, **PENDULUM)
+    return System("pendulum", mechanics_equations(method), **PENDULUM)
 
 
 @pytest.mark.parametrize("kind", ["lagrangian", "LagrangesMethod", "KanesMethod"])

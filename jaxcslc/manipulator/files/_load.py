@@ -1,38 +1,56 @@
 """Entry of the readers: `load_robot`, and the robot that a URDF or MJCF file describes.
 
-The chosen part of the file's tree becomes joints (`.._placement`). The bodies that are fixed to
-each link become the link's parameters. TOML files go to `_toml`.
+The part of the file's tree between base and tips becomes joints (`.._placement`). The bodies that
+are fixed to each link become the link's parameters. TOML files go to `_toml`.
 """
 
-import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TypeGuard, get_args
+from typing import NamedTuple, TypeGuard, get_args
 
 import numpy as np
 from jaxtyping import Float
 
-from .._errors import RobotError
+from .._joint import Joint, RobotError
 from .._link_parameters import LinkInertia, LinkParameters, fixed_together, seen_from
-from .._manipulator import Manipulator
+from .._manipulator import JointLimits, Manipulator, Mimic, Mimics, Source
 from .._placement import Axis, modified_dh
-from .._source import JointLimits, Mimics, Source
-from ._mujoco_reader import Body, BodyTree, read_bodies
-from ._part import MIMIC, Moved, Part, part_of
+from ._mujoco_reader import WORLD, Body, BodyTree, FileJoint, read_bodies
 from ._toml import read_toml
 from ._urdf import (
     XACRO,
     Edit,
     check_urdf,
+    read_xml,
     simplifications,
     urdf_limits,
-    urdf_mimic_laws,
     urdf_mimics,
 )
-from ._xml import read_xml
 
 
+_MOST_JOINTS = 1000  # loading takes a second, and the time grows with the square
+_LISTED = 8  # names in a message; a humanoid has a hundred
+
+Moved = tuple[int, FileJoint]  # a body and one of its joints
 Pose = Float[np.ndarray, "4 4"]
+
+
+class Part(NamedTuple):
+    """The part of a file's tree that a robot is.
+
+    **Attributes**
+
+    - `start`: index of the body that it stands on.
+    - `moved`: its joints, each with the index of the body that it moves, from the base outwards.
+    - `notes`: what was taken as fixed without being asked for, a sentence each.
+    - `mimics`: of the joints, those that follow others, each by one that follows none.
+    """
+
+    start: int
+    moved: list[Moved]
+    notes: list[str]
+    mimics: tuple[Mimic, ...] = ()
 
 
 def load_robot(
@@ -114,91 +132,102 @@ def load_robot(
     urdf = root.tag == "robot"
     tree = read_bodies(path, urdf=urdf, edits=edits)
     if urdf:  # MuJoCo leaves out the joints that mimic unknown ones
-        constraints = tuple((MIMIC, pair) for pair in urdf_mimics(root, path))
-        laws = tuple(urdf_mimic_laws(root, path)) if mimic == "couple" else ()
-        tree = tree._replace(constraints=constraints, mimics=laws)
-    name = root.attributes.get("name") or root.attributes.get("model") or path.stem
-    notes = [f"{path}, line {edit.line}: {edit.note}" for edit in edits if edit.note]
-    part = part_of(tree, path, base, tips, fixed, mimic=mimic)
-    robot = _robot(tree, path, name, base, tips, fixed, mimic, notes, part, urdf=urdf)
-    if not urdf or robot.source is None:
-        return robot
-    limits = urdf_limits(root)
-    listed = tuple(limits.get(joint, JointLimits()) for joint in robot.source.joints)
-    return dataclasses.replace(robot, source=dataclasses.replace(robot.source, limits=listed))
-
-
-def _robot(
-    tree: BodyTree,
-    path: Path,
-    name: str,
-    base: str | None,
-    tips: tuple[str, ...],
-    fix: tuple[str, ...],
-    mimic: Mimics | None,
-    notes: Sequence[str],
-    part: Part,
-    *,
-    urdf: bool,
-) -> Manipulator:
-    start, moved = part.start, part.moved
-    poses = _poses(tree, start)
-    numbers: dict[int, int] = {}  # of the last joint on each body
-    axes: list[Axis] = []
-    for number, (body, joint) in enumerate(moved):
-        carrier = numbers.get(body, -2)
-        if carrier == -2:
-            carrier = next((numbers[b] for b in tree.path(body) if b in numbers), -1)
-        numbers[body] = number
-        rotation, origin = poses[body][:3, :3], poses[body][:3, 3]
-        axes.append(
-            Axis(
-                joint.kind or "R",
-                carrier,
-                origin + rotation @ joint.anchor,
-                rotation @ joint.axis,
-                -joint.zero,
-            )
-        )
-    rows, frames = modified_dh(axes)
-    attached = _attached(tree, start, numbers)
-    links, placements, carried = _links(tree, moved, numbers, attached, poses, frames)
-    files = [joint for _, joint in moved]
-    friction = ("viscous", "dry")
+        laws = urdf_mimics(root, path)
+        tree = tree._replace(leaders={x.follower: x.leader for x in laws}, mimics=laws)
+        limits = urdf_limits(root)
+    else:
+        limits = {joint.name: joint.limits for joint in tree.joints}
+    part = choose_part(tree, path, base, tips, fixed, mimic=mimic)
+    links = _linked(tree, part)
+    files = [joint for _, joint in part.moved]
     following = {law.follower for law in part.mimics}
-    if any(joint.stiffness for joint in files):
-        friction = (*friction, "spring", "offset")
-    return Manipulator(
-        name=name,
-        joints=rows,
-        inertia=tuple(LinkInertia("full", motor=joint.name not in following) for joint in files),
-        gravity=_gravity(tree, start),
-        friction=friction,
-        links=links,
-        viscous=_unless_zero([joint.damping * (joint.name not in following) for joint in files]),
-        dry=_unless_zero([joint.friction_loss * (joint.name not in following) for joint in files]),
-        source=Source(
-            str(path),
-            "urdf" if urdf else "mjcf",
-            tuple(joint.name for joint in files),
-            tuple(tree.bodies[body].name for body, _ in moved),
-            placements,
-            carried,
-            base,
-            tips,
-            fix,
-            tuple(
-                joint.name
-                for body in tree.bodies
-                for joint in body.joints
-                if joint.kind is not None and joint not in files
-            ),
-            mimics=part.mimics,
-            mimic=mimic,
-            limits=() if urdf else tuple(joint.limits for joint in files),
-            notes=(*notes, *part.notes, *_faults(tree, path, numbers, attached)),
+    source = Source(
+        str(path),
+        "urdf" if urdf else "mjcf",
+        tuple(joint.name for joint in files),
+        tuple(tree.bodies[body].name for body, _ in part.moved),
+        links.placements,
+        links.carried,
+        base,
+        tips,
+        fixed,
+        tuple(joint.name for joint in tree.joints if joint.kind is not None and joint not in files),
+        tuple(limits.get(joint.name, JointLimits()) for joint in files),
+        part.mimics,
+        mimic,
+        (
+            *(f"{path}, line {edit.line}: {edit.note}" for edit in edits if edit.note),
+            *part.notes,
+            *_faults(path, links.bodies),
         ),
     )
+    sprung = any(joint.stiffness for joint in files)
+    return Manipulator(
+        name=root.attributes.get("name") or root.attributes.get("model") or path.stem,
+        joints=links.joints,
+        inertia=tuple(LinkInertia("full", motor=joint.name not in following) for joint in files),
+        gravity=_gravity(tree, part.start),
+        friction=("viscous", "dry", "spring", "offset") if sprung else ("viscous", "dry"),
+        links=links.parameters,
+        viscous=_unless_zero([joint.damping * (joint.name not in following) for joint in files]),
+        dry=_unless_zero([joint.friction_loss * (joint.name not in following) for joint in files]),
+        source=source,
+    )
+
+
+class _Linked(NamedTuple):
+    """The links of a robot: rows, parameters, and how they lie in the file's bodies.
+
+    - `bodies`: those that move.
+    - `parameters`: None if those of one body are a mesh's, which is not read.
+    - `placements`, `carried`: as of `Source`.
+    """
+
+    joints: tuple[Joint, ...]
+    bodies: list[Body]
+    parameters: tuple[LinkParameters, ...] | None
+    placements: tuple[Pose, ...]
+    carried: tuple[LinkParameters | None, ...]
+
+
+def _linked(tree: BodyTree, part: Part) -> _Linked:
+    """Return rows and parameters of a part's links: what each body is, and what is fixed to it."""
+    moved, poses = part.moved, _poses(tree, part.start)
+    last: dict[int, int] = {}  # number of the last joint on each body
+    axes: list[Axis] = []
+    for number, (body, joint) in enumerate(moved):
+        carrier = next((last[b] for b in tree.path(body) if b in last), -1)
+        last[body] = number
+        rotation, origin = poses[body][:3, :3], poses[body][:3, 3]
+        place = origin + rotation @ joint.anchor, rotation @ joint.axis
+        axes.append(Axis(joint.kind or "R", carrier, *place, -joint.zero))
+    rows, frames = modified_dh(axes)
+    attached: list[list[int]] = [[] for _ in moved]  # bodies that are fixed to each link
+    for i in range(len(tree.bodies)):
+        if i not in last and part.start in tree.path(i):
+            carrier = next((last[b] for b in tree.path(i) if b in last), None)
+            if carrier is not None:
+                attached[carrier].append(i)
+    links: list[LinkParameters] = []
+    placements: list[Pose] = []
+    carried: list[LinkParameters | None] = []
+    for number, (body, joint) in enumerate(moved):
+        back = np.linalg.inv(frames[number])
+        placements.append(back @ poses[body])
+        fixed = [(tree.bodies[i].inertia, poses[i]) for i in attached[number]]
+        attachments = [seen_from(x, back @ pose) for x, pose in fixed if _has_mass(x)]
+        carried.append(fixed_together(attachments) if attachments else None)
+        # Of several joints on a body the last carries it; the links between them have no mass.
+        inertia = tree.bodies[body].inertia if last[body] == number else None
+        bare = [] if inertia is None else [seen_from(inertia, placements[-1])]
+        whole = fixed_together([*bare, *attachments])
+        links.append(
+            LinkParameters(whole.mass, whole.centre_of_gravity, whole.inertia, joint.armature)
+        )
+    bodies = [tree.bodies[i] for i in (*last, *(i for fixed in attached for i in fixed))]
+    complete = all(body.inertia is not None for body in bodies)
+    parameters = tuple(links) if complete else None
+    return _Linked(rows, bodies, parameters, tuple(placements), tuple(carried))
 
 
 def _poses(tree: BodyTree, start: int) -> list[Pose]:
@@ -219,62 +248,9 @@ def _gravity(tree: BodyTree, start: int) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _attached(tree: BodyTree, start: int, numbers: Mapping[int, int]) -> dict[int, list[int]]:
-    """Bodies that are fixed to each link, or fixed at zero on it."""
-    attached: dict[int, list[int]] = {number: [] for number in range(max(numbers.values()) + 1)}
-    for i in range(len(tree.bodies)):
-        if i not in numbers and start in tree.path(i):
-            for carrier in tree.path(i):
-                if carrier in numbers:
-                    attached[numbers[carrier]].append(i)
-                    break
-    return attached
-
-
-def _links(
-    tree: BodyTree,
-    moved: Sequence[Moved],
-    numbers: Mapping[int, int],
-    attached: Mapping[int, Sequence[int]],
-    poses: Sequence[Pose],
-    frames: Sequence[Pose],
-) -> tuple[tuple[LinkParameters, ...] | None, tuple[Pose, ...], tuple[LinkParameters | None, ...]]:
-    """Parameters of every link in its frame, poses of the bodies' frames, and what is fixed to it.
-
-    No parameters at all if those of one body are a mesh's, which is not read.
-    """
-    complete = all(body.inertia is not None for body in _bodies(tree, numbers, attached))
-    links: list[LinkParameters] = []
-    placements: list[Pose] = []
-    carried: list[LinkParameters | None] = []
-    for number, (body, joint) in enumerate(moved):
-        back = np.linalg.inv(frames[number])
-        placements.append(back @ poses[body])
-        # Of several joints on a body the last carries it; the links between them have no mass.
-        fixed = [(tree.bodies[i].inertia, poses[i]) for i in attached[number]]
-        attachments = [seen_from(x, back @ pose) for x, pose in fixed if _has_mass(x)]
-        carried.append(fixed_together(attachments) if attachments else None)
-        inertia = tree.bodies[body].inertia if numbers[body] == number else None
-        bare = [] if inertia is None else [seen_from(inertia, placements[-1])]
-        whole = fixed_together([*bare, *attachments])
-        links.append(
-            LinkParameters(whole.mass, whole.centre_of_gravity, whole.inertia, joint.armature)
-        )
-    return tuple(links) if complete else None, tuple(placements), tuple(carried)
-
-
-def _bodies(
-    tree: BodyTree, numbers: Mapping[int, int], attached: Mapping[int, Sequence[int]]
-) -> Iterator[Body]:
-    for body in [*numbers, *(i for bodies in attached.values() for i in bodies)]:
-        yield tree.bodies[body]
-
-
-def _faults(
-    tree: BodyTree, path: Path, numbers: Mapping[int, int], attached: Mapping[int, Sequence[int]]
-) -> Iterator[str]:
+def _faults(path: Path, bodies: Sequence[Body]) -> Iterator[str]:
     """A note on the bodies that cannot exist, if there are any."""
-    faulty = [body for body in _bodies(tree, numbers, attached) if body.fault]
+    faulty = [body for body in bodies if body.fault]
     if faulty:
         others = f" (and {len(faulty) - 1} other bodies)" if len(faulty) > 1 else ""
         yield (
@@ -289,3 +265,161 @@ def _has_mass(inertia: LinkParameters | None) -> TypeGuard[LinkParameters]:
 
 def _unless_zero(values: Sequence[float]) -> tuple[float, ...] | None:
     return tuple(values) if any(values) else None
+
+
+def choose_part(
+    tree: BodyTree,
+    path: Path,
+    base: str | None,
+    tips: Sequence[str],
+    fix: Sequence[str],
+    *,
+    mimic: str | None = None,
+) -> Part:
+    """The joints between `base` and `tips`, those in `fix` and floating bases apart.
+
+    A joint that mimics a fixed one is fixed too. `mimic` says what becomes of others that mimic:
+    they are an error, or fixed with what they follow (`"fix"`), or kept (`"couple"`).
+
+    **Raises** `RobotError` for names that are not in the file, joints of kinds that are not
+    modelled, joints that mimic, and closed loops.
+    """
+    names = [body.name for body in tree.bodies]
+
+    def index(name: str, what: str) -> int:
+        if name not in names:
+            raise RobotError(f"{path}: {what} {name!r} is not among its bodies: {_some(names)}")
+        return names.index(name)
+
+    start = 0 if base is None else index(base, "base")
+    ends = set(range(len(names)))
+    if tips:
+        ways = {tip: list(tree.path(index(tip, "tip"))) for tip in tips}
+        for tip, way in ways.items():
+            if start not in way:
+                raise RobotError(f"{path}: base {base!r} is not between the world and tip {tip!r}")
+        ends = {body for way in ways.values() for body in way}
+    fixed = _fixed(tree, path, fix)
+    if mimic == "fix":
+        fixed |= set(tree.leaders.values())
+    moved: list[Moved] = []
+    notes: list[str] = []
+    for body in sorted(ends & tree.carried_by(start) - {start}):
+        for joint in tree.bodies[body].joints:
+            if joint.name in fixed:
+                continue
+            if joint.type == "free" and tree.bodies[body].parent == 0:
+                notes.append(f"{path}: body {names[body]!r} floats; it is taken as fixed")
+            else:
+                moved.append((body, joint))
+    remaining = _without_followers_of_fixed(tree, path, moved)
+    kept = {joint.name for _, joint in remaining}
+    for _, joint in moved:
+        if joint.name not in kept:
+            notes.append(
+                f"{path}: joint {joint.name!r} follows one that is fixed; it is fixed at zero too"
+            )
+    moved = remaining
+    if not moved:
+        part = f" between base {names[start]!r} and tip {' or '.join(map(repr, tips)) or None}"
+        reasons = "; ".join(note.removeprefix(f"{path}: ") for note in notes)
+        raise RobotError(
+            f"{path}: has no joint{part if tips or base else ''} that moves"
+            + (f" ({reasons})" if reasons else "")
+        )
+    if len(moved) > _MOST_JOINTS:
+        raise RobotError(
+            f"{path}: has {len(moved)} joints that move; expected at most {_MOST_JOINTS} (choose a"
+            " part of the tree with base and tip)"
+        )
+    mimics = _to_independent(tree, moved) if mimic == "couple" else ()
+    _only_what_is_modelled(tree, moved, path, {mimic.follower for mimic in mimics})
+    return Part(start, moved, notes, mimics)
+
+
+def _to_independent(tree: BodyTree, moved: Sequence[Moved]) -> tuple[Mimic, ...]:
+    """The linear laws of joints that follow others, each by one that follows none."""
+    joints = {joint.name for _, joint in moved}
+    laws = {mimic.follower: mimic for mimic in tree.mimics if mimic.follower in joints}
+    mimics: list[Mimic] = []
+    for name in laws:
+        leader, multiplier, offset = name, 1.0, 0.0
+        while leader in laws:
+            law = laws[leader]
+            leader, offset = law.leader, offset + multiplier * law.offset
+            multiplier *= law.multiplier
+            if leader == name:
+                break
+        if leader in joints and leader != name:
+            mimics.append(Mimic(name, leader, multiplier, offset))
+    return tuple(mimics)
+
+
+def _fixed(tree: BodyTree, path: Path, fix: Sequence[str]) -> set[str]:
+    """Names of the joints that are to be fixed: named themselves, or on a named body or beyond."""
+    fixed: set[str] = set()
+    for pattern in fix:
+        joints = {joint.name for joint in tree.joints if fnmatchcase(joint.name, pattern)}
+        bodies = [i for i, body in enumerate(tree.bodies) if fnmatchcase(body.name, pattern)]
+        if not joints and not bodies:
+            raise RobotError(
+                f"{path}: fix {pattern!r} is none of its bodies and none of its joints:"
+                f" {_some([joint.name for joint in tree.joints])}"
+            )
+        beyond = set[int]().union(*map(tree.carried_by, bodies))
+        fixed |= joints | {joint.name for i in beyond for joint in tree.bodies[i].joints}
+    return fixed
+
+
+def _without_followers_of_fixed(tree: BodyTree, path: Path, moved: list[Moved]) -> list[Moved]:
+    """Remove joints that mimic a joint outside the robot: they do not move either."""
+    everywhere = {joint.name for joint in tree.joints}
+    for follower, leader in tree.leaders.items():
+        unknown = {follower, leader} - everywhere - {WORLD}
+        if unknown and any(follower == joint.name for _, joint in moved):
+            raise RobotError(
+                f"{path}: joint {follower!r} mimics {leader!r}, which is no joint of this file"
+            )
+    while True:
+        names = {joint.name for _, joint in moved}
+        remaining = [x for x in moved if tree.leaders.get(x[1].name, x[1].name) in names]
+        if len(remaining) == len(moved):
+            return moved
+        moved = remaining
+
+
+def _only_what_is_modelled(
+    tree: BodyTree, moved: Sequence[Moved], path: Path, following: set[str]
+) -> None:
+    for _, joint in moved:
+        if joint.fault:
+            raise RobotError(f"{path}, joint {joint.name!r}: {joint.fault}")
+        if joint.kind is None:
+            raise RobotError(
+                f"{path}: joint {joint.name!r} is a {joint.type} joint; only revolute and prismatic"
+                " ones are modelled (fix it, or choose a part of the tree with base and tip)"
+            )
+    joints = {joint.name for _, joint in moved}
+    bodies = {tree.bodies[body].name for body, _ in moved}
+    mimics = [pair for pair in tree.leaders.items() if pair[0] in joints - following]
+    if mimics:
+        follower, leader = mimics[0]
+        leaders = ",".join(dict.fromkeys(leader for _, leader in mimics if leader in joints))
+        others = [name for name, _ in mimics[1:]]
+        too = f" ({_some(others)} too)" if others else ""
+        raise RobotError(
+            f"{path}: joint {follower!r} mimics {leader!r}{too}; expected --mimic couple, which"
+            " moves them together where the law is linear, or --mimic fix (or --fix"
+            f" {leaders or follower}), which fixes both"
+        )
+    for kind, (first, second) in tree.loops:
+        if {first, second} & (bodies | joints):
+            raise RobotError(
+                f"{path}: {kind} between {first!r} and {second!r} closes a loop; only chains and"
+                " trees are modelled"
+            )
+
+
+def _some(names: Sequence[str]) -> str:
+    listed = ", ".join(names[:_LISTED])
+    return listed if len(names) <= _LISTED else f"{listed} and {len(names) - _LISTED} others"

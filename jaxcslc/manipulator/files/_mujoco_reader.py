@@ -17,16 +17,16 @@ from jaxtyping import Float
 
 from jaxcslc._environment import require
 
-from .._errors import RobotError
-from .._joint import JointKind
+from .._joint import JointKind, RobotError
 from .._link_parameters import LinkParameters
-from .._source import JointLimits, Mimic
-from ._urdf import Edit, simplified
+from .._manipulator import JointLimits, Mimic
+from ._urdf import LARGEST, Edit, simplified
 
 
-_ROUNDING = 1e-9  # by which a file's numbers may miss being an inertia, relatively ...
-_LARGEST = 1e9  # of a drive's armature, damping and friction [SI units]
-_SMALLEST = 1e-15  # ... and absolutely [kg m²]: inertias of links of next to no mass are rounding
+# By which a file's numbers may miss being an inertia, relatively, and absolutely [kg m²]: inertias
+# of links of next to no mass are rounding.
+_ROUNDING = 1e-9
+_SMALLEST = 1e-15
 
 WORLD = "world"  # what MuJoCo calls the body that carries all others
 
@@ -61,13 +61,25 @@ class Body(NamedTuple):
     fault: str | None  # why the inertia stated is none that a body can have
 
 
+Loops = tuple[tuple[str, tuple[str, str]], ...]
+
+
 class BodyTree(NamedTuple):
     """All bodies of a file, parents first; the first is the world."""
 
     bodies: tuple[Body, ...]
     gravity: tuple[float, float, float]
-    constraints: tuple[tuple[str, tuple[str, str]], ...]  # kind, and the two that it connects
-    mimics: tuple[Mimic, ...] = ()  # joints that follow others by a linear law
+    leaders: Mapping[str, str]  # of joints that follow others, or are held by the world
+    loops: Loops  # other constraints: kind, what they connect
+    mimics: Sequence[Mimic] = ()  # joints that follow others by a linear law
+
+    @property
+    def joints(self) -> list[FileJoint]:
+        return [joint for body in self.bodies for joint in body.joints]
+
+    def carried_by(self, body: int) -> set[int]:
+        """Return a body and all that it carries."""
+        return {i for i in range(len(self.bodies)) if body in self.path(i)}
 
     def path(self, body: int) -> Iterator[int]:
         """Yield the indices of the bodies from a body to the world, both included."""
@@ -107,7 +119,7 @@ def _read(path: Path, urdf: bool, edits: Sequence[Edit]) -> BodyTree:
     unknown = _without_geometry(spec, urdf)
     massless = {b.name for b in spec.bodies if not (b.explicitinertial or b.geoms)} - unknown
     stated = _replaced_inertias(spec, {*inertials, *unknown, *massless})
-    constraints, laws = tuple(_constraints(spec)), tuple(_laws(spec))
+    leaders, loops, laws = _constraints(spec)
     _delete(spec.equalities, spec)
     spec.compiler.fusestatic = False
     try:
@@ -121,7 +133,7 @@ def _read(path: Path, urdf: bool, edits: Sequence[Edit]) -> BodyTree:
         if name in unknown or faults.get(name):
             inertia = None
         elif name in massless:
-            inertia = _massless()
+            inertia = LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))
         elif name in inertials:
             mass, _, tensor = inertials[name]
             inertia = LinkParameters(mass, stated[name], rotation @ tensor @ rotation.T)
@@ -138,10 +150,10 @@ def _read(path: Path, urdf: bool, edits: Sequence[Edit]) -> BodyTree:
     mimics = (
         # MuJoCo's law is one of differences from the file's zero position.
         Mimic(y, x, slope, zero[y] + constant - slope * zero[x])
-        for y, x, (constant, slope) in laws
+        for y, x, constant, slope in laws
         if y in zero and x in zero
     )
-    return BodyTree(tuple(bodies), (x, y, z), constraints, tuple(mimics))
+    return BodyTree(tuple(bodies), (x, y, z), leaders, loops, tuple(mimics))
 
 
 def _parsed(path: Path, urdf: bool, edits: Sequence[Edit]) -> Any:
@@ -272,20 +284,27 @@ def _replaced_inertias(spec: Any, names: set[str]) -> dict[str, Float[np.ndarray
     return centres
 
 
-def _constraints(spec: Any) -> Iterator[tuple[str, tuple[str, str]]]:
-    for equality in spec.equalities:
-        if equality.active and equality.name1:
-            kind = equality.type.name.removeprefix("mjEQ_").lower()
-            yield f"equality of kind {kind!r}", (equality.name1, equality.name2 or WORLD)
+Law = tuple[str, str, float, float]  # follower, leader, constant, slope
 
 
-def _laws(spec: Any) -> Iterator[tuple[str, str, tuple[float, float]]]:
-    """Joints that follow others: names, and constant and slope of a law that is linear."""
+def _constraints(spec: Any) -> tuple[dict[str, str], Loops, list[Law]]:
+    """Return the joints that follow others, with these; other constraints; and linear laws."""
+    leaders: dict[str, str] = {}
+    loops: list[tuple[str, tuple[str, str]]] = []
+    laws: list[Law] = []
     for equality in spec.equalities:
-        joint = equality.type.name == "mjEQ_JOINT"
+        if not (equality.active and equality.name1):
+            continue
+        kind = equality.type.name.removeprefix("mjEQ_").lower()
+        first, second = equality.name1, equality.name2 or WORLD
+        if kind != "joint":
+            loops.append((f"equality of kind {kind!r}", (first, second)))
+            continue
+        leaders[first] = second
         constant, slope, *powers = (float(x) for x in equality.data[:5])
-        if equality.active and joint and equality.name2 and not any(powers):
-            yield equality.name1, equality.name2, (constant, slope)
+        if equality.name2 and not any(powers):
+            laws.append((first, second, constant, slope))
+    return leaders, tuple(loops), laws
 
 
 def _joints(model: Any, body: int, strongest: Mapping[str, float]) -> Iterator[FileJoint]:
@@ -310,8 +329,8 @@ def _joints(model: Any, body: int, strongest: Mapping[str, float]) -> Iterator[F
             ("damping", model.dof_damping[dof]),
             ("friction loss", model.dof_frictionloss[dof]),
         ):
-            if kind and not 0.0 <= value <= _LARGEST:
-                fault = f"{what} is {value:g}; expected 0 to {_LARGEST:g}"
+            if kind and not 0.0 <= value <= LARGEST:
+                fault = f"{what} is {value:g}; expected 0 to {LARGEST:g}"
         yield FileJoint(
             name,
             kind,
@@ -366,10 +385,6 @@ def _rotation(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-
-
-def _massless() -> LinkParameters:
-    return LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
 def _mujoco_error(path: Path, error: ValueError) -> RobotError:

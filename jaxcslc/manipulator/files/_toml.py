@@ -2,7 +2,7 @@
 
 import dataclasses
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -11,24 +11,22 @@ import numpy as np
 
 from jaxcslc._toml_document import toml_document
 
-from .._errors import RobotError
 from .._friction import STATIC_SLOPE, Coupling, couplings
 from .._joint import (
     Joint,
     Numbering,
+    RobotError,
     Subnumbering,
     finite_number,
     length_table,
-    parse_angle,
-    parse_length,
+    parsed_joint,
     unused_lengths,
 )
 from .._link_parameters import LinkInertia, LinkParameters, motor_inertia
-from .._manipulator import Manipulator
-from .._source import Source
+from .._manipulator import Manipulator, Source
 
 
-_ROUNDING = 1e-12
+_ROUNDING = 1e-12  # by which a link's values may miss what it lists as zero or equal [SI units]
 _ROBOT_KEYS = {
     *("name", "about", "gravity", "friction", "coupled", "lengths", "links", "joint", "numbering")
 }
@@ -48,10 +46,8 @@ _LINK_KEYS = {
 def read_toml(path: Path) -> Manipulator:
     """A robot from its TOML description; the format is documented in `docs/robots.md`.
 
-    **Raises**
-
-    - `RobotError`: one line that names the file, the joint and the key that is missing, unknown
-      or contradictory, and what was expected.
+    **Raises** `RobotError`: one line that names the file, the joint and the key that is missing,
+    unknown or contradictory, and what was expected.
     """
     document = toml_document(path, "robot file", RobotError)
     robot = _robot(document, str(path))
@@ -104,12 +100,10 @@ def _bundled(name: str) -> Manipulator:
 
 
 def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
-    _check_keys(document, _ROBOT_KEYS, where)
-    lengths = length_table(
-        _table(document.get("lengths", {}), f"{where}, [lengths]"), f"{where}, [lengths]"
-    )
-    defaults = _table(document.get("links", {}), f"{where}, [links]")
-    _check_keys(defaults, _DEFAULT_KEYS, f"{where}, [links]")
+    _table(document, where, _ROBOT_KEYS)
+    named = _table(document.get("lengths", {}), f"{where}, [lengths]")
+    lengths = length_table(named, f"{where}, [lengths]")
+    defaults = _table(document.get("links", {}), f"{where}, [links]", _DEFAULT_KEYS)
     entries = document.get("joint")
     if not isinstance(entries, list) or not entries:
         raise RobotError(f"{where}: expected at least one [[joint]]")
@@ -119,11 +113,9 @@ def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
     links: list[LinkParameters | None] = []
     for i, entry in enumerate(entries, start=1):
         at = f"{where}, joint {i}"
-        table = _table(entry, at)
-        _check_keys(table, _JOINT_KEYS, at)
-        joints.append(_joint(table, lengths, at))
-        link = _table(table.get("link", {}), f"{at}, link")
-        _check_keys(link, _LINK_KEYS, f"{at}, link")
+        table = _table(entry, at, _JOINT_KEYS)
+        joints.append(parsed_joint(table, lengths, at))
+        link = _table(table.get("link", {}), f"{at}, link", _LINK_KEYS)
         inertia.append(_inertia(link, defaults, f"{at}, link"))
         links.append(_parameters(link, inertia[-1], f"{at}, link"))
     unused_lengths(lengths, joints, f"{where}, [lengths]")
@@ -152,34 +144,12 @@ def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
         ).with_gravity(gravity)
     except RobotError as error:
         raise error if str(error).startswith(where) else RobotError(f"{where}: {error}") from None
-    terms = list(robot.friction_terms)
     return dataclasses.replace(
         robot,
-        viscous=_friction(entries, "viscous", terms, where),
-        dry=_friction(entries, "dry", terms, where),
+        viscous=_friction(entries, "viscous", robot.friction_terms, where),
+        dry=_friction(entries, "dry", robot.friction_terms, where),
         static_slopes=_static_slopes(entries, robot, where),
         numbering=_numbering(document["numbering"], where) if "numbering" in document else None,
-    )
-
-
-def _joint(table: Mapping[str, Any], lengths: dict[str, float], at: str) -> Joint:
-    kind = table.get("kind", "R")
-    if kind not in ("R", "P"):
-        raise RobotError(f"{at}, kind: expected 'R' (revolute) or 'P' (prismatic), got {kind!r}")
-    parent = table.get("parent")
-    if parent is not None and (isinstance(parent, bool) or not isinstance(parent, int)):
-        raise RobotError(
-            f"{at}, parent: expected the number of a joint, or 0 for the base, got {parent!r}"
-        )
-    return Joint(
-        kind,
-        parse_angle(table.get("alpha", 0), f"{at}, alpha"),
-        parse_length(table.get("a", 0), lengths, f"{at}, a"),
-        parse_length(table.get("d", 0), lengths, f"{at}, d"),
-        parse_angle(table.get("theta", 0), f"{at}, theta"),
-        parse_angle(table.get("gamma", 0), f"{at}, gamma"),
-        parse_length(table.get("b", 0), lengths, f"{at}, b"),
-        parent,
     )
 
 
@@ -263,9 +233,7 @@ def _motor_inertia(link: Mapping[str, Any], at: str) -> float:
 def _agrees(link: LinkParameters, inertia: LinkInertia, at: str) -> None:
     """Check that a link's values have the zeros and equal moments that it lists.
 
-    **Raises**
-
-    - `RobotError`: where values contradict `zero` and `equal`.
+    **Raises** `RobotError` where values contradict `zero` and `equal`.
     """
     principal = inertia.form == "principal"
     tensor = np.asarray(link.inertia if principal else link.inertia_at_frame)
@@ -283,17 +251,22 @@ def _agrees(link: LinkParameters, inertia: LinkInertia, at: str) -> None:
             )
 
 
+def _numbers(entries: list[Any], key: str, where: str) -> dict[int, float]:
+    """Return the numbers that joints have under a key, by the joint's number from 1."""
+    return {
+        i: _number(entry[key], f"{where}, joint {i}, {key}")
+        for i, entry in enumerate(entries, start=1)
+        if key in entry
+    }
+
+
 def _friction(
-    entries: list[Any], term: str, friction: list[str], where: str
+    entries: list[Any], term: str, friction: Sequence[str], where: str
 ) -> tuple[float, ...] | None:
-    values: list[float] = []
-    for i, entry in enumerate(entries, start=1):
-        if term in entry:
-            values.append(_number(entry[term], f"{where}, joint {i}, {term}"))
-            if values[-1] < 0:
-                raise RobotError(
-                    f"{where}, joint {i}, {term}: expected zero or more, got {values[-1]}"
-                )
+    values = _numbers(entries, term, where)
+    for i, value in values.items():
+        if value < 0:
+            raise RobotError(f"{where}, joint {i}, {term}: expected zero or more, got {value}")
     if not values:
         return None
     if len(values) != len(entries):
@@ -303,20 +276,19 @@ def _friction(
             f"{where}: joints have {term} friction, which is not among the terms of friction:"
             f" {', '.join(friction) or 'none'}"
         )
-    return tuple(values)
+    return tuple(values.values())
 
 
 def _static_slopes(entries: list[Any], robot: Manipulator, where: str) -> tuple[float, ...] | None:
-    slopes = [STATIC_SLOPE] * len(entries)
-    for i, entry in enumerate(entries, start=1):
-        if "static_slope" in entry:
-            at = f"{where}, joint {i}, static_slope"
-            slopes[i - 1] = _number(entry["static_slope"], at)
-            if slopes[i - 1] <= 0:
-                raise RobotError(f"{at}: expected a number above 0, got {slopes[i - 1]}")
-            if "static" not in robot.friction_per_joint[i - 1]:
-                raise RobotError(f"{at}: the joint has no static friction among its terms")
-    return tuple(slopes) if any("static_slope" in entry for entry in entries) else None
+    slopes = _numbers(entries, "static_slope", where)
+    for i, slope in slopes.items():
+        at = f"{where}, joint {i}, static_slope"
+        if slope <= 0:
+            raise RobotError(f"{at}: expected a number above 0, got {slope}")
+        if "static" not in robot.friction_per_joint[i - 1]:
+            raise RobotError(f"{at}: the joint has no static friction among its terms")
+    numbers = range(1, len(entries) + 1)
+    return tuple(slopes.get(i, STATIC_SLOPE) for i in numbers) if slopes else None
 
 
 def _joint_names(entries: list[Any], where: str) -> tuple[str, ...]:
@@ -351,12 +323,10 @@ def _coupled(value: Any, joints: list[Joint], where: str) -> tuple[Coupling, ...
 
 def _numbering(table: Any, where: str) -> Numbering:
     at = f"{where}, [numbering]"
-    table = _table(table, at)
-    _check_keys(table, {"source", "mass", "velocity", "gravity"}, at)
+    table = _table(table, at, {"source", "mass", "velocity", "gravity"})
 
     def part(name: str) -> Subnumbering:
-        sub = _table(table.get(name, {}), f"{at}, {name}")
-        _check_keys(sub, {"inputs", "coefficients"}, f"{at}, {name}")
+        sub = _table(table.get(name, {}), f"{at}, {name}", {"inputs", "coefficients"})
         try:
             coefficients = tuple(
                 (str(entry), tuple(int(index) for index in column), float(multiple))
@@ -373,17 +343,16 @@ def _numbering(table: Any, where: str) -> Numbering:
     return Numbering(str(table.get("source", "")), part("mass"), part("velocity"), part("gravity"))
 
 
-def _table(value: Any, at: str) -> dict[str, Any]:
+def _table(value: Any, at: str, keys: set[str] | None = None) -> dict[str, Any]:
+    """Return a table, which has none but these keys."""
     if not isinstance(value, dict):
         raise RobotError(f"{at}: expected a table, got {value!r}")
-    return value  # pyright: ignore[reportUnknownVariableType]
-
-
-def _check_keys(table: Mapping[str, Any], allowed: set[str], at: str) -> None:
-    if unknown := sorted(set(table) - allowed):
+    table: dict[str, Any] = value  # pyright: ignore[reportUnknownVariableType]
+    if keys is not None and (unknown := sorted(set(table) - keys)):
         raise RobotError(
-            f"{at}: unknown key {unknown[0]!r}; expected some of {', '.join(sorted(allowed))}"
+            f"{at}: unknown key {unknown[0]!r}; expected some of {', '.join(sorted(keys))}"
         )
+    return table
 
 
 def _number(value: Any, at: str) -> float:

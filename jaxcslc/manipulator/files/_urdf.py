@@ -1,17 +1,136 @@
-"""URDF itself: checks of the tree, joint limits, mimic laws, and what is left out before reading.
+"""XML robot files: a reader that trusts nothing, and what MuJoCo does not do for URDF.
 
-MuJoCo reads the rest; see `_mujoco_reader`.
+No document types, no entities, bounded size. Of URDF: checks of the tree, joint limits, laws of
+joints that follow others, and what is left out before MuJoCo reads the rest (`_mujoco_reader`).
 """
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
+from xml.parsers import expat
 
-from .._errors import RobotError
-from .._source import JointLimits, Mimic
-from ._xml import Element
+from .._joint import RobotError
+from .._manipulator import JointLimits, Mimic
+
+
+# Robots nest their bodies a few dozen deep (every joint of a chain is two levels in MJCF), and
+# their files have thousands of elements; MuJoCo's own parser overflows the stack far beyond that.
+# Its time grows with the square of the number of bodies: 3,000 take a few seconds.
+_DEEPEST, _MOST_ELEMENTS, _MOST_BODIES = 256, 200_000, 3000
+# Where bodies and joints are: MuJoCo computes with any number, and poses become NaN without a word.
+_PLACEMENT = {"xyz", "rpy", "pos", "axis", "quat", "euler", "axisangle", "xyaxes", "zaxis"}
+LARGEST = 1e9  # metres or radians of a placement; also of a drive's numbers, in SI units
+_TAG = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""")
+
+
+@dataclass(eq=False)
+class Element:
+    """An element of an XML file: its tag, its attributes, where it is and what is in it."""
+
+    tag: str
+    attributes: Mapping[str, str]
+    line: int
+    start: int  # bytes from the beginning of the file to "<"
+    end: int = -1  # to behind its last ">"
+    children: "list[Element]" = field(default_factory=list["Element"])
+
+    def all(self, tag: str) -> "list[Element]":
+        """Children of a tag."""
+        return [child for child in self.children if child.tag == tag]
+
+    def first(self, tag: str) -> "Element | None":
+        return next(iter(self.all(tag)), None)
+
+
+def read_xml(path: Path) -> Element:
+    """The root element of an XML file, read without trusting it.
+
+    No document type and no entities, internal or external, and neither more elements nor deeper
+    ones than a robot can have.
+
+    **Raises** `RobotError`, in one line, naming file and line.
+    """
+    try:
+        return parse_xml(path.read_bytes(), str(path))
+    except FileNotFoundError:
+        raise RobotError(f"{path}: no such robot file") from None
+    except OSError as error:
+        raise RobotError(f"{path}: cannot be read: {error}") from None
+
+
+def parse_xml(text: bytes, where: str) -> Element:
+    """Parse the bytes of an XML file as `read_xml` does; `where` names them in errors."""
+    parser = expat.ParserCreate()
+    top = Element("", {}, 0, 0)
+    stack, copies, count, bodies = [top], [1], 0, 0
+
+    def start(tag: str, attributes: Mapping[str, str]) -> None:
+        nonlocal count, bodies
+        copies.append(copies[-1] * _copies(tag, attributes))
+        count += copies[-1]
+        if len(stack) > _DEEPEST:
+            raise RobotError(f"{line()}: elements nest deeper than {_DEEPEST}; no robot does")
+        if count > _MOST_ELEMENTS:
+            raise RobotError(f"{line()}: more than {_MOST_ELEMENTS} elements; no robot has so many")
+        bodies += copies[-1] if tag in ("body", "link") else 0
+        if bodies > _MOST_BODIES:
+            raise RobotError(f"{line()}: more than {_MOST_BODIES} bodies; no robot has so many")
+        for name, value in attributes.items():
+            # MuJoCo would write a log file into the current folder.
+            if "nan" in value.lower().split():
+                raise RobotError(f"{line()}: {name} of {tag} is {value!r}; expected numbers")
+            if name in _PLACEMENT and not all(map(_is_moderate, value.split())):
+                raise RobotError(
+                    f"{line()}: {name} of {tag} is {value!r}; expected numbers up to {LARGEST:g}"
+                )
+        element = Element(tag, attributes, parser.CurrentLineNumber, parser.CurrentByteIndex)
+        stack[-1].children.append(element)
+        stack.append(element)
+
+    def end(_: str) -> None:
+        element = stack.pop()
+        copies.pop()
+        tag = _TAG.match(text, element.start)
+        if tag is not None and tag[0].endswith(b"/>"):  # empty: expat's index is of little use
+            element.end = tag.end()
+        else:
+            element.end = text.index(b">", parser.CurrentByteIndex) + 1
+
+    def forbid(what: str) -> Callable[..., None]:
+        def raise_error(*_: object) -> None:
+            raise RobotError(f"{line()}: {what}; expected none in a robot file")
+
+        return raise_error
+
+    def line() -> str:
+        return f"{where}, line {parser.CurrentLineNumber}"
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.StartDoctypeDeclHandler = forbid("has a document type declaration (<!DOCTYPE ...>)")
+    parser.EntityDeclHandler = forbid("declares an entity")
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        raise RobotError(f"{where}: not valid XML: {error}") from None
+    (root,) = top.children
+    return root
+
+
+def _copies(tag: str, attributes: Mapping[str, str]) -> int:
+    """Return the number of copies that an element makes of each of its children."""
+    count = attributes.get("count", "") if tag == "replicate" else ""
+    return max(1, int(count)) if count.isdecimal() and len(count) < 10 else 1
+
+
+def _is_moderate(text: str) -> bool:
+    try:
+        return abs(float(text)) <= LARGEST
+    except ValueError:
+        return True  # not a number: MuJoCo says so
 
 
 XACRO = "is for xacro; expected a URDF without macros, as `xacro FILE.xacro > FILE.urdf` writes it"
@@ -23,10 +142,8 @@ _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 def check_urdf(root: Element, path: Path) -> None:
     """Check that a URDF's links and joints are one tree.
 
-    **Raises**
-
-    - `RobotError`: for cycles, loops, several trees, names that are missing or used twice, and
-      macros of xacro.
+    **Raises** `RobotError` for cycles, loops, several trees, names that are missing or used twice,
+    and macros of xacro.
     """
     _check_no_macros(root, path)
     links = _named(root.all("link"), path)
@@ -98,40 +215,16 @@ def _check_no_macros(root: Element, path: Path) -> None:
         elements += [child for child in element.children if child.tag in _READ or ":" in child.tag]
 
 
-def urdf_mimics(root: Element, path: Path) -> list[tuple[str, str]]:
-    """Joints of a URDF that mimic others, each with the other.
+def urdf_mimics(root: Element, path: Path) -> list[Mimic]:
+    """Return the laws by which joints of a URDF follow others.
 
-    **Raises**
-
-    - `RobotError`: for one that mimics itself, over others or not.
+    **Raises** `RobotError` for one that mimics itself, over others or not, and for a multiplier or
+    offset that is no finite number.
     """
-    leaders = {
-        joint.attributes["name"]: mimic.attributes.get("joint", "")
-        for joint in root.all("joint")
-        if (mimic := joint.first("mimic")) is not None and joint.attributes["type"] != "fixed"
-    }
-    for name, leader in leaders.items():
-        way = {name}
-        while leader in leaders:
-            if leader in way:
-                raise RobotError(
-                    f"{path}: joint {name!r} mimics {leaders[name]!r}, and so in the end itself"
-                )
-            way.add(leader)
-            leader = leaders[leader]
-    return list(leaders.items())
-
-
-def urdf_mimic_laws(root: Element, path: Path) -> Iterator[Mimic]:
-    """The laws by which joints of a URDF follow others.
-
-    **Raises**
-
-    - `RobotError`: for a multiplier or offset that is no finite number.
-    """
+    laws: dict[str, Mimic] = {}
     for joint in root.all("joint"):
         mimic = joint.first("mimic")
-        if mimic is None:
+        if mimic is None or joint.attributes["type"] == "fixed":
             continue
         name = joint.attributes["name"]
         numbers: list[float] = []
@@ -144,7 +237,17 @@ def urdf_mimic_laws(root: Element, path: Path) -> Iterator[Mimic]:
                     f" {attribute} of <mimic>, got {text!r}"
                 )
             numbers.append(number)
-        yield Mimic(name, mimic.attributes.get("joint", ""), *numbers)
+        laws[name] = Mimic(name, mimic.attributes.get("joint", ""), *numbers)
+    for name, law in laws.items():
+        way, leader = {name}, law.leader
+        while leader in laws:
+            if leader in way:
+                raise RobotError(
+                    f"{path}: joint {name!r} mimics {law.leader!r}, and so in the end itself"
+                )
+            way.add(leader)
+            leader = laws[leader].leader
+    return list(laws.values())
 
 
 def urdf_limits(root: Element) -> dict[str, JointLimits]:

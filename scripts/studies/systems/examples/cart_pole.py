@@ -8,7 +8,7 @@ import sympy as sp
 from sympy.physics.mechanics import dynamicsymbols
 
 import jaxcslc as jc
-from jaxcslc.systems import Constant, System, Variable
+from jaxcslc.systems import Constant, System, Variable, lagrange_equations
 from scripts.studies.systems.example import Example
 from scripts.studies.systems.mujoco_runs import run
 from scripts.studies.systems.signals import Columns, Multisine, generator
@@ -84,12 +84,14 @@ def system() -> System:
     # The pole's centre of gravity hangs l below the hinge, at angles forwards of it.
     east, up = x + l * sp.sin(theta), -l * sp.cos(theta)
     kinetic = M * xd**2 / 2 + m * (east.diff(t) ** 2 + up.diff(t) ** 2) / 2 + J * thetad**2 / 2
-    return System.from_lagrangian(
+    return System(
         "cart-pole",
-        kinetic - m * g * up,
-        (x, theta),
-        forces={x: F, theta: -d * sp.sign(thetad)},
-        dissipation=b * xd**2 / 2 + v * thetad**2 / 2,
+        lagrange_equations(
+            kinetic - m * g * up,
+            (x, theta),
+            forces={x: F, theta: -d * sp.sign(thetad)},
+            dissipation=b * xd**2 / 2 + v * thetad**2 / 2,
+        ),
         variables=(Variable(x, unit="m"), Variable(theta, unit="rad"), Variable(F, unit="N")),
         constants=(
             Constant(M, unit="kg", sign="positive"),

@@ -1,30 +1,120 @@
-"""Generators of expressions, and the relations that hold between them."""
+"""Expressions as rational functions of generators: symbols, functions of them, and relations.
 
-import dataclasses
-from collections.abc import Callable, Collection, Sequence
+`Angles` chooses the angles whose sines and cosines are generators.
+"""
+
+from collections.abc import Collection, Iterable, Sequence
 from math import isfinite, lcm
 from typing import Any
 
-from jaxcslc.derivation import exact_cos_sin
+from sympy import (
+    Abs,
+    Add,
+    And,
+    Dummy,
+    Eq,
+    Heaviside,
+    Integer,
+    Matrix,
+    Max,
+    Min,
+    Mul,
+    Ne,
+    Not,
+    Or,
+    Piecewise,
+    Rational,
+    chebyshevt,
+    chebyshevu,
+    cos,
+    cot,
+    csc,
+    exp,
+    expand,
+    expand_power_base,
+    gcd_list,
+    preorder_traversal,
+    sec,
+    sign,
+    sin,
+    tan,
+)
 
-from ..description import DescriptionError
-from ._angles import Angles, Terms
+from ..derivation import exact_cos_sin
+from ._description import DescriptionError
 
 
-@dataclasses.dataclass(frozen=True)
-class Relation:
-    """A power of a generator that the normal form does not contain, and what it is replaced by.
+Terms = dict[Any, Any]  # what is added in the argument of a function: monic term to its rational
 
-    **Attributes**
 
-    - `generator`: a symbol.
-    - `power`: the least that is replaced.
-    - `value`: a polynomial of generators, of lower power in this one.
+class Angles:
+    """The independent angles of sines and cosines, and every argument as an integer sum of them.
+
+    Arguments of few terms first and, among those, the most frequent; of arguments that are
+    multiples of one another, what divides them all.
     """
 
-    generator: Any
-    power: int
-    value: Any
+    def __init__(self, largest_multiple: int) -> None:
+        self._largest = largest_multiple
+        self._counts: dict[frozenset[tuple[Any, Any]], dict[Any, int]] = {}
+        self._basis: list[Terms] = []
+        # Arguments that are large multiples, or fractions of sums, of angles of the basis.
+        self._apart: list[Terms] = []
+
+    def add(self, terms: Terms) -> None:
+        """Counts an argument."""
+        if terms:
+            first = terms[min(terms, key=str)]
+            direction = frozenset((name, factor / first) for name, factor in terms.items())
+            counts = self._counts.setdefault(direction, {})
+            counts[first] = counts.get(first, 0) + 1
+
+    def settle(self) -> None:
+        """Chooses the angles."""
+        candidates: list[tuple[int, int, str, Terms]] = []
+        for direction, counts in self._counts.items():
+            smallest = gcd_list(list(counts))
+            near = max(abs(factor / smallest) for factor in counts) <= self._largest
+            for factor in (smallest,) if near else sorted(counts, key=abs):
+                terms = {name: part * factor for name, part in direction}
+                label = str(sorted(map(str, terms)))
+                candidates.append((len(terms), -sum(counts.values()), label, terms))
+        for *_, terms in sorted(candidates, key=lambda candidate: candidate[:3]):
+            if self._integers(terms) is None:
+                (self._basis if self._in_basis(terms) is None else self._apart).append(terms)
+
+    def multiples(self, terms: Terms) -> Iterable[tuple[Any, int]]:
+        """Angles with the multiple of each."""
+        if not terms:
+            return
+        integers = self._integers(terms)
+        assert integers is not None, terms
+        for angle, multiple in zip((*self._basis, *self._apart), integers, strict=True):
+            if multiple:
+                yield sum(factor * term for term, factor in angle.items()), multiple
+
+    def _integers(self, terms: Terms) -> list[int] | None:
+        """Return an argument as an integer sum of the angles; None if it is no such sum."""
+        everything = [*self._basis, *self._apart]
+        for index, angle in enumerate(everything):
+            ratios = {terms.get(name, 0) / factor for name, factor in angle.items()}
+            if terms.keys() == angle.keys() and len(ratios) == 1 and self._is_multiple(*ratios):
+                return [int(*ratios) if i == index else 0 for i in range(len(everything))]
+        solution = self._in_basis(terms)
+        if solution is None or not all(map(self._is_multiple, solution)):
+            return None
+        return [*map(int, solution), *[0] * len(self._apart)]
+
+    def _is_multiple(self, x: Any) -> bool:
+        return bool(x.is_Integer and abs(x) <= self._largest)
+
+    def _in_basis(self, terms: Terms) -> list[Any] | None:
+        """Return an argument as a rational sum of the basis; None if it is independent of it."""
+        columns, last = (*self._basis, terms), len(self._basis)
+        names = list(dict.fromkeys(name for part in columns for name in part))
+        rows = [[part.get(name, Integer(0)) for part in columns] for name in names]
+        echelon, pivots = Matrix(rows).rref()
+        return None if last in pivots else [echelon[row, last] for row in range(last)]
 
 
 class Generators:
@@ -41,7 +131,8 @@ class Generators:
 
     - `unknown`: symbols of the unknown constants.
     - `values`: generator to the expression that it stands for, in the order of their creation.
-    - `relations`: that the normal form uses.
+    - `relations`: a generator, its least power that the normal form does not contain, and the
+      polynomial of generators that it is replaced by.
     """
 
     def __init__(
@@ -57,7 +148,7 @@ class Generators:
         """
         self.unknown = frozenset(unknown)
         self.values: dict[Any, Any] = {}
-        self.relations: list[Relation] = []
+        self.relations: list[tuple[Any, int, Any]] = []
         self._of: dict[Any, Any] = {}
         self._where = ""
         self._angles = Angles(largest_multiple)
@@ -79,8 +170,6 @@ class Generators:
 
     def _collect(self, expression: Any) -> None:
         """Angles and exponents, which are rewritten in terms of those that occur."""
-        from sympy import cos, cot, csc, exp, preorder_traversal, sec, sin, tan
-
         for node in preorder_traversal(expression):
             if isinstance(node, sin | cos | tan | cot | sec | csc):
                 self._angles.add(self._split(node)[0])
@@ -94,8 +183,6 @@ class Generators:
 
         **Raises** `DescriptionError` for a term with both.
         """
-        from sympy import Add, expand
-
         parts: tuple[Terms, Terms] = {}, {}
         for term in Add.make_args(expand(function.args[0])):
             factor, monic = term.as_coeff_Mul()
@@ -127,8 +214,6 @@ class Generators:
         return self._forms[x]
 
     def _rewrite(self, x: Any) -> Any:
-        from sympy import cos, cot, csc, exp, sec, sin, tan
-
         if x.is_Rational:
             return x
         if not x.free_symbols:
@@ -147,14 +232,19 @@ class Generators:
         if isinstance(x, tan | cot | sec | csc):
             c, s = self._trigonometric(x)
             return {tan: s / c, cot: c / s, sec: 1 / c, csc: 1 / s}[x.func]
-        special = _SPECIAL.get(x.func.__name__)
-        if special is not None:
-            return special(self, x)
+        if isinstance(x, sign):
+            return self._sign(x)
+        if isinstance(x, Abs):
+            return self._rewritten(x.args[0]) * self._rewritten(sign(x.args[0]))
+        if isinstance(x, Heaviside):
+            return (1 + self._rewritten(sign(x.args[0]))) / 2
+        if isinstance(x, Max | Min):
+            return self._rewritten(_by_moduli(x))
+        if isinstance(x, Piecewise):
+            return self._piecewise(x)
         return self._function(x)
 
     def _power(self, x: Any) -> Any:
-        from sympy import Mul, Rational, expand_power_base
-
         base, exponent = x.as_base_exp()
         if exponent.is_Integer:
             return self._rewritten(base) ** exponent
@@ -168,15 +258,11 @@ class Generators:
         if not (root.is_Pow and root.exp == Rational(1, q)):
             return self._rewritten(root) ** int(exponent.p)
         self._side(base, x)
-        if root not in self._of:
-            inside = self._rewritten(base)
-            self.relations.append(Relation(self._generator(root, root), q, inside))
+        inside = self._rewritten(base)
         whole, part = divmod(int(exponent.p), q)
-        return self._rewritten(base) ** whole * self._of[root] ** part
+        return inside**whole * self._generator(root, q, inside) ** part
 
     def _exponential(self, x: Any) -> Any:
-        from sympy import Integer, exp
-
         product = Integer(1)
         for part in self._split(x):
             for term, factor in part.items():
@@ -184,104 +270,59 @@ class Generators:
                     product *= _as_rational(exp(term * factor), self._where)
                     continue
                 unit = self._exponents[term]
-                generator = self._generator(exp(term / unit), exp(term / unit))
-                product *= generator ** int(factor * unit)
+                product *= self._generator(exp(term / unit)) ** int(factor * unit)
         return product
 
     def _trigonometric(self, x: Any) -> tuple[Any, Any]:
         """Cosine and sine of the argument."""
-        from sympy import Integer
-
         of_variables, of_constants = self._split(x)
         total: tuple[Any, Any] = (Integer(1), Integer(0))
         for angle, multiple in self._angles.multiples(of_variables):
             total = _added(total, self._multiple(angle, multiple))
         for term, factor in of_constants.items():
-            angle = term * factor
-            total = _added(total, self._multiple(angle, 1))
+            total = _added(total, self._multiple(term * factor, 1))
         return total
 
     def _multiple(self, angle: Any, multiple: int) -> tuple[Any, Any]:
-        from sympy import Integer, Rational, chebyshevt, chebyshevu, cos, expand, sin
-
         if not angle.free_symbols:
             c, s = exact_cos_sin(float(angle) * multiple)
             return Rational(str(c)), Rational(str(s))
-        c, s = cos(angle), sin(angle)
-        if c not in self._of:
-            cosine, sine = self._generator(c, c), self._generator(s, s)
-            self.relations.append(Relation(sine, 2, 1 - cosine**2))
-        cosine, sine = self._of[c], self._of[s]
+        cosine = self._generator(cos(angle))
+        sine = self._generator(sin(angle), 2, 1 - cosine**2)
         n = abs(multiple)
-        cosine_n = expand(chebyshevt(n, cosine))
-        sine_n = sine * expand(chebyshevu(n - 1, cosine)) if n else Integer(0)
-        return cosine_n, sine_n if multiple > 0 else -sine_n
+        sine_n = sine * expand(chebyshevu(n - 1, cosine))
+        return expand(chebyshevt(n, cosine)), sine_n if multiple > 0 else -sine_n
 
     def _function(self, x: Any) -> Any:
         """A function that nothing is known of, as a generator."""
-        from sympy import expand
-
         canonical = x.func(*map(expand, x.args))
         if canonical.func != x.func:
             return self._rewritten(canonical)
         self._side(canonical, x)
-        return self._generator(canonical, canonical)
+        return self._generator(canonical)
 
-    def _generator(self, key: Any, value: Any) -> Any:
-        from sympy import Dummy
+    def _generator(self, value: Any, power: int = 0, replacement: Any = None) -> Any:
+        """Return the symbol of a function, of which a power is replaced by other generators."""
+        if value not in self._of:
+            self._of[value] = Dummy(str(value))
+            self.values[self._of[value]] = value
+            if power:
+                self.relations.append((self._of[value], power, replacement))
+        return self._of[value]
 
-        if key not in self._of:
-            self._of[key] = Dummy(str(value))
-            self.values[self._of[key]] = value
-        return self._of[key]
-
-    def sign(self, x: Any) -> Any:
+    def _sign(self, x: Any) -> Any:
         """Return the sign of an expression that changes sign: its square is 1."""
-        from sympy import Integer, Mul, expand, sign
-
         (inside,) = x.args
         if inside.is_Mul:
             return Mul(*(self._rewritten(sign(factor)) for factor in inside.args))
-        inside = expand(inside)
-        value = sign(inside)
+        value = sign(expand(inside))
         if not isinstance(value, sign):
             return self._rewritten(value)
-        self._side(inside, x)
-        new = value not in self._of
-        generator = self._generator(value, value)
-        if new:
-            self.relations.append(Relation(generator, 2, Integer(1)))
-        return generator
+        self._side(value, x)
+        return self._generator(value, 2, Integer(1))
 
-    def absolute(self, x: Any) -> Any:
-        """The argument times its sign."""
-        from sympy import sign
-
-        (inside,) = x.args
-        return self._rewritten(inside) * self._rewritten(sign(inside))
-
-    def step(self, x: Any) -> Any:
-        """Half of one more than the sign."""
-        from sympy import sign
-
-        return (1 + self._rewritten(sign(x.args[0]))) / 2
-
-    def extreme(self, x: Any) -> Any:
-        """The greatest or least of several, by the moduli of their differences."""
-        from sympy import Abs, Max
-
-        greatest = isinstance(x, Max)
-        first, *others = x.args
-        total = first
-        for other in others:
-            size = Abs(total - other)
-            total = (total + other + (size if greatest else -size)) / 2
-        return self._rewritten(total)
-
-    def piecewise(self, x: Any) -> Any:
+    def _piecewise(self, x: Any) -> Any:
         """Each piece times an indicator of where it holds and those before it do not."""
-        from sympy import Integer
-
         total, left = Integer(0), Integer(1)
         for value, condition in x.args:
             self._side(condition, x)
@@ -292,8 +333,6 @@ class Generators:
 
     def _indicator(self, condition: Any) -> Any:
         """1 where a condition holds and 0 elsewhere, but for single points."""
-        from sympy import And, Eq, Integer, Mul, Ne, Not, Or, sign
-
         if condition.is_Relational and not isinstance(condition, Eq | Ne):
             difference = condition.gts - condition.lts
             return (1 + self._rewritten(sign(difference))) / 2
@@ -306,14 +345,14 @@ class Generators:
         return Integer(bool(condition == True or isinstance(condition, Ne)))  # noqa: E712
 
 
-_SPECIAL: dict[str, Callable[[Generators, Any], Any]] = {
-    "sign": Generators.sign,
-    "Abs": Generators.absolute,
-    "Heaviside": Generators.step,
-    "Max": Generators.extreme,
-    "Min": Generators.extreme,
-    "Piecewise": Generators.piecewise,
-}
+def _by_moduli(x: Any) -> Any:
+    """Return the greatest or least of several, by the moduli of their differences."""
+    first, *others = x.args
+    total = first
+    for other in others:
+        size = Abs(total - other)
+        total = (total + other + (size if isinstance(x, Max) else -size)) / 2
+    return total
 
 
 def _added(one: tuple[Any, Any], other: tuple[Any, Any]) -> tuple[Any, Any]:
@@ -323,8 +362,6 @@ def _added(one: tuple[Any, Any], other: tuple[Any, Any]) -> tuple[Any, Any]:
 
 def _as_rational(x: Any, where: str) -> Any:
     """An irrational number as the decimal that a float prints."""
-    from sympy import Rational
-
     try:
         number = float(x)
         if not isfinite(number):

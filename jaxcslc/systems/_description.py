@@ -1,11 +1,13 @@
-"""Variables and constants of a system, and their units."""
+"""Variables and constants of a system: their units, and their plain symbols in equations."""
 
 import dataclasses
 import math
 import re
-from collections.abc import Iterable, Mapping
-from types import MappingProxyType
+from collections.abc import Sequence
 from typing import Any
+
+from sympy import Derivative, Float, Rational, Symbol, sympify
+from sympy.core.function import AppliedUndef
 
 
 class DescriptionError(ValueError):
@@ -25,34 +27,28 @@ _FACTOR = re.compile(r"([A-Za-zµΩ°%]+)(?:\^?(-?\d+))?")
 Unit = dict[str, int]
 
 
-def parse_unit(text: str) -> Unit:
-    """A unit as powers of its factors: what follows a slash divides.
+def parse_unit(text: str, where: str = "") -> Unit:
+    """Return a unit as powers of its factors; what follows a slash divides.
 
-    **Raises** `ValueError` for a text that is no unit.
-
-    >>> parse_unit("kg m²/s")
-    {'kg': 1, 'm': 2, 's': -1}
+    `"kg m²/s"` is `{"kg": 1, "m": 2, "s": -1}`. **Raises** `DescriptionError` for a text that is
+    no unit.
     """
     powers: Unit = {}
     for number, part in enumerate(text.translate(_SUPERSCRIPTS).split("/")):
         for factor in part.replace("*", " ").replace("·", " ").split():
             match = _FACTOR.fullmatch(factor)
-            if match is None and factor != "1":
-                raise ValueError(f"unit {text!r}: cannot read {factor!r}; expected as in 'kg m²/s'")
             if match is not None:
                 power = int(match[2] or 1) * (1 if number == 0 else -1)
                 powers[match[1]] = powers.get(match[1], 0) + power
+            elif factor != "1":
+                raise DescriptionError(
+                    f"{where}: unit {text!r}: cannot read {factor!r}; expected as in 'kg m²/s'"
+                )
     return {name: power for name, power in powers.items() if power}
 
 
 def unit_text(unit: Unit) -> str:
-    """A unit as it is printed.
-
-    >>> unit_text({"kg": 1, "m": 2, "s": -1})
-    'kg m²/s'
-    >>> unit_text({"s": -2})
-    '1/s²'
-    """
+    """Return a unit as it is printed: `"kg m²/s"`, `"1/s²"`."""
 
     def factors(sign: int) -> str:
         return " ".join(
@@ -65,31 +61,18 @@ def unit_text(unit: Unit) -> str:
     return above if not below else f"{above or 1}/{below.replace(' ', '/')}"
 
 
-def product_of_units(factors: Iterable[tuple[str, int]]) -> str:
-    """The unit of a product of quantities, each with its power.
+def product_of_units(factors: Sequence[tuple[str, int]]) -> str:
+    """Return the unit of a product of quantities, each with its power.
 
     Angles are numbers: a radian is left out of products.
-
-    >>> product_of_units([("kg", 1), ("m", 2)])
-    'kg m²'
     """
     powers: Unit = {}
-    several = 0
     for text, power in factors:
-        several += 1
         for name, exponent in parse_unit(text).items():
             powers[name] = powers.get(name, 0) + exponent * power
-    if several > 1:
+    if len(factors) > 1:
         powers.pop("rad", None)
-    return unit_text({name: power for name, power in powers.items() if power})
-
-
-def check_unit(text: str, where: str) -> None:
-    """**Raises** `DescriptionError` for a text that is no unit."""
-    try:
-        parse_unit(text)
-    except ValueError as error:
-        raise DescriptionError(f"{where}: {error}") from None
+    return unit_text(powers)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,8 +109,12 @@ class Variable:
     kind: str | None = None
 
     def __post_init__(self) -> None:
-        check_symbol(self.symbol, "variable", function=True)
-        check_unit(self.unit, f"variable {self.name!r}")
+        time_function = isinstance(self.symbol, AppliedUndef) and len(self.symbol.args) == 1
+        if not (isinstance(self.symbol, Symbol) or time_function):
+            raise DescriptionError(
+                f"variable: got {self.symbol!r}; expected a SymPy symbol or a function of time"
+            )
+        parse_unit(self.unit, f"variable {self.name!r}")
         if self.kind not in (None, "state", "input"):
             raise DescriptionError(
                 f"variable {self.name!r}: kind is {self.kind!r}; expected 'state' or 'input'"
@@ -178,9 +165,10 @@ class Constant:
     bounds: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        check_symbol(self.symbol, "constant", function=False)
+        if not isinstance(self.symbol, Symbol):
+            raise DescriptionError(f"constant: got {self.symbol!r}; expected a SymPy symbol")
         where = f"constant {self.name!r}"
-        check_unit(self.unit, where)
+        parse_unit(self.unit, where)
         if self.sign not in (None, "positive", "negative"):
             raise DescriptionError(
                 f"{where}: sign is {self.sign!r}; expected 'positive' or 'negative'"
@@ -208,33 +196,75 @@ class Constant:
 
 def name_of(symbol: Any) -> str:
     """Return the name of a SymPy symbol, or of a function of time."""
-    function = getattr(symbol, "func", None)
-    if getattr(symbol, "is_Function", False) and function is not None:
-        return str(function.__name__)
-    return str(symbol)
+    return str(symbol.func.__name__ if getattr(symbol, "is_Function", False) else symbol)
 
 
-def check_symbol(symbol: Any, what: str, *, function: bool) -> None:
-    """**Raises** `DescriptionError` unless it is a symbol or, with `function`, one of time."""
-    from sympy import Symbol
-    from sympy.core.function import AppliedUndef
-
-    if isinstance(symbol, Symbol):
-        return
-    if function and isinstance(symbol, AppliedUndef) and len(symbol.args) == 1:
-        return
-    expected = "a SymPy symbol or a function of time" if function else "a SymPy symbol"
-    raise DescriptionError(f"{what}: got {symbol!r}; expected {expected}")
+_ORDERS = ("{}", "dot({})", "ddot({})")  # a variable and its derivatives, as they are printed
+_SIGNS: dict[str | None, dict[str, bool]] = {
+    None: {"real": True},
+    "positive": {"positive": True},
+    "negative": {"negative": True},
+}
 
 
-def named(entries: tuple[Any, ...], what: str) -> Mapping[str, Any]:
-    """Variables or constants by name.
+class MotionSymbols:
+    """Plain symbols: one for each variable, each of its two derivatives, and each constant.
 
-    **Raises** `DescriptionError` for two of one name.
+    What a user wrote, with functions of time and derivatives of them, becomes algebra in these.
+
+    **Attributes**
+
+    - `variables`: index of each by its name.
+    - `motion`: (variable, order) to its symbol, real.
+    - `constants`: name to symbol, with the sign that is known.
     """
-    table: dict[str, Any] = {}
-    for entry in entries:
-        if entry.name in table:
-            raise DescriptionError(f"{what} {entry.name!r} is described twice; expected once")
-        table[entry.name] = entry
-    return MappingProxyType(table)
+
+    def __init__(self, variables: Sequence[Variable], constants: Sequence[Constant]) -> None:
+        self.variables = {variable.name: index for index, variable in enumerate(variables)}
+        self.motion = {
+            (index, order): Symbol(form.format(name), real=True)
+            for name, index in self.variables.items()
+            for order, form in enumerate(_ORDERS)
+        }
+        self.constants = {c.name: Symbol(c.name, **_SIGNS[c.sign]) for c in constants}
+
+    def plain(self, expression: Any, where: str) -> Any:
+        """An expression in these symbols alone.
+
+        Names decide, whatever assumptions SymPy's symbols carry.
+
+        **Raises** `DescriptionError` for names that are neither variable nor constant, and for
+        third derivatives.
+        """
+        expression = sympify(expression)
+        if any(not isinstance(d.expr, AppliedUndef) for d in expression.atoms(Derivative)):
+            expression = expression.doit()
+        listed = ", ".join(self.variables) or "there are none"
+        replaced: dict[Any, Any] = {}
+        for derivative in sorted(expression.atoms(Derivative), key=str):
+            name, order = name_of(derivative.expr), derivative.derivative_count
+            if name not in self.variables or derivative.variables != derivative.expr.args * order:
+                raise DescriptionError(
+                    f"{where}: {derivative} is no time derivative of a variable; expected one of"
+                    f" {listed}"
+                )
+            if order > 2:
+                raise DescriptionError(
+                    f"{where}: derivative {order} of {name!r}; expected the first or the second"
+                )
+            replaced[derivative] = self.motion[self.variables[name], order]
+        expression = expression.xreplace(replaced)
+        values = {name: self.motion[index, 0] for name, index in self.variables.items()}
+        # Functions of time before symbols, so that the time in them is no name of its own.
+        for named in (values, values | self.constants):
+            atoms = expression.atoms(AppliedUndef) if named is values else expression.free_symbols
+            unknown = sorted(atoms - set(self.motion.values()), key=str)
+            if missing := [atom for atom in unknown if name_of(atom) not in named]:
+                raise DescriptionError(
+                    f"{where}: unknown name {str(missing[0])!r}; expected a variable"
+                    f" ({listed}) or a constant"
+                    f" ({', '.join(self.constants) or 'there are none'})"
+                )
+            expression = expression.xreplace({atom: named[name_of(atom)] for atom in unknown})
+        decimals = {x: Rational(repr(float(x))) for x in expression.atoms(Float)}
+        return expression.xreplace(decimals)
