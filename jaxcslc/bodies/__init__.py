@@ -10,10 +10,9 @@ imply. The possible bodies solve a semidefinite programme (Sousa and Cortesão 2
 Modules, in reading order:
 
 - `_body`: ten numbers, pseudo-inertia, and coefficients as forms in them.
-- `_link_knowledge`, `_prior`: values, errors and bounds of coefficients and link parameters.
-- `_nearest_body`: semidefinite least squares, and one body nearest to an estimate.
-- `_nearest_bodies`: the programme of all links.
-- `_principal_programme`, `_bounded_least_squares`: search for links with principal axes.
+- `_prior`: values, errors and bounds of coefficients and link parameters.
+- `_nearest_bodies`: semidefinite least squares, of one body and of all links.
+- `_principal_programme`: search for links with principal axes.
 - `_physical_parameters`: link parameters of a fit.
 - `_possible_fit`: possible bodies compared with the unconstrained fit on held-out data.
 """
@@ -27,20 +26,17 @@ from ._body import (
     link_of as link_of,
     pseudo_inertia as pseudo_inertia,
 )
-from ._link_knowledge import (
-    KNOWN_PARAMETERS as KNOWN_PARAMETERS,
-    Known as Known,
-    LinkKnowledge as LinkKnowledge,
-)
 from ._nearest_bodies import (
     WEAK as WEAK,
+    Fitted as Fitted,
     NearestBodies as NearestBodies,
     Optimum as Optimum,
     balls as balls,
     by_discrepancy as by_discrepancy,
+    nearest_body as nearest_body,
     prior_of as prior_of,
+    whitening as whitening,
 )
-from ._nearest_body import Fitted as Fitted, nearest_body as nearest_body, whitening as whitening
 from ._physical_parameters import (
     POSSIBILITY as POSSIBILITY,
     PhysicalParameters as PhysicalParameters,
@@ -60,6 +56,9 @@ from ._possible_fit import (
     possible_text as possible_text,
 )
 from ._prior import (
+    KNOWN_PARAMETERS as KNOWN_PARAMETERS,
+    Known as Known,
+    LinkKnowledge as LinkKnowledge,
     Prior as Prior,
     information_rows as information_rows,
     load_prior as load_prior,

@@ -17,9 +17,8 @@ from ..manipulator import LinkParameters, Manipulator, seen_from
 from ..network import CSLC
 from ..recordings import Patterns
 from ._body import bodies_of, constrained, link_of
-from ._link_knowledge import LinkKnowledge
-from ._nearest_bodies import WEAK, NearestBodies, by_discrepancy
-from ._nearest_body import Fitted
+from ._nearest_bodies import WEAK, Fitted, NearestBodies, by_discrepancy
+from ._prior import LinkKnowledge
 
 
 if TYPE_CHECKING:

@@ -31,7 +31,6 @@ from ..uncertainty import (
     judged_errors,
     standard_uncertainty,
 )
-from ._link_knowledge import LinkKnowledge
 from ._physical_parameters import (
     PhysicalParameters,
     distances_from,
@@ -39,7 +38,7 @@ from ._physical_parameters import (
     physical_parameters,
     possible_coefficients,
 )
-from ._prior import Prior, with_knowledge
+from ._prior import LinkKnowledge, Prior, with_knowledge
 
 
 # A coefficient that moves by more combined standard errors is warned of: one in sixteen thousand

@@ -2,9 +2,8 @@
 
 In: a network and a recording. Out: `Settings` or friction terms, with all trials.
 
-- `_selection`: `choose_settings`; `_candidates`: what it chooses among.
-- `_search`, `_scoring`: the search along axes, and the held-out score.
-- `_alignment`: the torque alignment.
+- `_selection`: `choose_settings`, by held-out scores.
+- `_candidates`: what it chooses among, and the search along it.
 - `_friction`: friction terms, joint by joint.
 - `_section`: the part of a long recording that is used.
 """

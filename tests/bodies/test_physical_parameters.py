@@ -19,7 +19,7 @@ from jaxcslc.bodies._body import (
     link_of,
     pseudo_inertia,
 )
-from jaxcslc.bodies._nearest_body import whitening
+from jaxcslc.bodies._nearest_bodies import whitening
 from jaxcslc.manipulator import LinkInertia
 
 

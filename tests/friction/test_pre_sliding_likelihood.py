@@ -13,7 +13,7 @@ from jaxcslc.bodies import Prior
 from jaxcslc.friction import pre_sliding, state_at
 from jaxcslc.identification import ESTIMATORS
 from jaxcslc.identification._exclusions import Request
-from jaxcslc.identification._identify_friction import choose_friction_terms
+from jaxcslc.identification._identify import choose_friction_terms
 from jaxcslc.instruments import prediction_error
 from jaxcslc.likelihood import EstimatorComparison
 

@@ -9,8 +9,13 @@ from numpy.testing import assert_allclose
 import jaxcslc as jc
 from jaxcslc.control import PID, Reference
 from jaxcslc.instruments import ControlledMotion, CorrectedMotion
-from jaxcslc.instruments._projected_equations import projected_fit, wide_rows
-from jaxcslc.instruments._simulation_fit import Simulated, both_masks, exogeneity_test
+from jaxcslc.instruments._estimators import (
+    Simulated,
+    both_masks,
+    exogeneity_test,
+    projected_fit,
+    wide_rows,
+)
 from jaxcslc.least_squares import Equations, Unknowns
 
 

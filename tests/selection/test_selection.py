@@ -9,7 +9,7 @@ from jaxcslc.checks import TorqueLag
 from jaxcslc.least_squares import settings_document, settings_from
 from jaxcslc.recordings import AbstractSmoothing, CentralDifferences, Sampling, register_smoothing
 from jaxcslc.selection import _selection as selection_module
-from jaxcslc.selection._alignment import settled_alignment
+from jaxcslc.selection._selection import settled_alignment
 
 
 INTERVAL = 0.002
