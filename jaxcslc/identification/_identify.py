@@ -8,7 +8,7 @@ import dataclasses
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
@@ -77,19 +77,6 @@ class ChosenFriction:
     not_tried: str | None = None
 
 
-class FrictionStates(NamedTuple):
-    """Results on friction, for the report.
-
-    - `terms`: that were tried; None if friction was not chosen.
-    - `pre_sliding`: dry friction with states; None if none is used.
-    - `notes`: one sentence each.
-    """
-
-    terms: FrictionChoice | None
-    pre_sliding: PreSlidingFit | None
-    notes: tuple[str, ...] = ()
-
-
 def choose_friction_terms(request: Request, step: Callable[[str], None]) -> ChosenFriction:
     """Choose friction joint by joint, on the longest recording.
 
@@ -136,23 +123,28 @@ def choose_friction_terms(request: Request, step: Callable[[str], None]) -> Chos
     return ChosenFriction(request, chosen, terms, tried, not_tried)
 
 
-def friction_states(judged: Judged, chosen: ChosenFriction | None) -> FrictionStates:
-    """Return what is reported of friction; with least squares alone, try pre-sliding now.
+def friction_results(
+    judged: Judged, chosen: ChosenFriction | None
+) -> tuple[FrictionChoice | None, PreSlidingFit | None, tuple[str, ...]]:
+    """Return the terms that were tried, dry friction with states, and notes, for the report.
 
-    It is tried beside the terms that were fitted, with their patterns, masks and settings.
+    With least squares alone, pre-sliding is tried now: beside the terms that were fitted, with
+    their patterns, masks and settings.
 
     - `chosen`: None if friction was not chosen.
     """
-    problem, states = judged.problem, judged.pre_sliding
-    terms, notes = None if chosen is None else chosen.terms, ()
-    if chosen is not None and chosen.tried is not None:
-        tried = chosen.tried
-        if states is not None:
+    problem, states, notes = judged.problem, None, ()
+    terms = None if chosen is None else chosen.terms
+    tried = None if chosen is None else chosen.tried
+    fit = judged.yielding or judged.fit
+    if fit.lengths.any():
+        states = PreSlidingFit(fit.network, fit.identification, fit.lengths, {}, fit.lengths)
+        if tried is not None:
             states = dataclasses.replace(
                 states, relative=tried.relative, tried_lengths=tried.tried_lengths
             )
-    elif chosen is not None:
-        tried, not_tried = None, chosen.not_tried or (None if problem.part is None else _TOO_LONG)
+    if chosen is not None and tried is None:
+        not_tried = chosen.not_tried or (None if problem.part is None else _TOO_LONG)
         if not_tried is None:
             patterns = problem.patterns["training"]
             tried, not_tried = _tried(judged.fit.network, patterns, problem.solver, problem.step)
@@ -163,7 +155,7 @@ def friction_states(judged: Judged, chosen: ChosenFriction | None) -> FrictionSt
             states = tried if tried.joint_names else None
     if states is not None:
         notes = (*notes, _note_of(states, fitted=bool(judged.fit.lengths.any())))
-    return FrictionStates(terms, states, notes)
+    return terms, states, notes
 
 
 def _tried(
@@ -350,13 +342,13 @@ def _identified(
         _ = problem.patterns, problem.judged_patterns  # what is wrong with recordings is said now
         judged = estimator.judged(with_friction(problem))
         checked = data_check()
-    states = friction_states(judged, friction)
-    return _report(judged, states, checked)
+    return _report(judged, friction, checked)
 
 
-def _report(judged: Judged, friction: FrictionStates, data_check: DataCheck | None) -> Report:
+def _report(judged: Judged, chosen: ChosenFriction | None, data_check: DataCheck | None) -> Report:
     """The report of a fit, with errors of all recordings."""
-    problem, fit, several = judged.problem, judged.fit, judged.several
+    terms, states, friction_notes = friction_results(judged, chosen)
+    problem, fit, several = judged.problem, judged.fit, judged.results.get("several")
     request, network = problem.request, judged.fit.network
     errors = {
         name: compare(
@@ -385,32 +377,26 @@ def _report(judged: Judged, friction: FrictionStates, data_check: DataCheck | No
         *(() if several is None else several.agreement.warnings),
         *(consequences if data_check is None else data_check.unexplained(consequences)),
     )
-    bodies = judged.bodies
-    return Report(
-        network=network,
-        settings=problem.settings,
-        fit=fit.identification,
-        patterns=problem.patterns,
-        errors=MappingProxyType(errors),
-        excitation=excitation,
-        held_out=held_out,
-        slopes=judged.slopes,
-        systematic=judged.systematic,
-        groups=request.groups,
-        warnings=warnings,
-        selection=problem.selection,
-        bodies=None if bodies is None else bodies.parameters,
-        possible=bodies,
-        prior=request.prior,
-        several=several,
-        data_check=data_check,
-        judged_part=None if problem.section is None else problem.section.description,
-        notes=(*problem.notes, *fit.notes, *friction.notes),
-        estimators=judged.comparison,
-        horizon=_horizon(judged, friction) if request.horizon else None,
-        friction=friction.terms,
-        pre_sliding=friction.pre_sliding,
-    )
+    bodies = judged.results.get("possible")
+    results = {
+        **judged.results,
+        "several": several,
+        "bodies": None if bodies is None else bodies.parameters,
+        "errors": MappingProxyType(errors),
+        "excitation": excitation,
+        "held_out": held_out,
+        "groups": request.groups,
+        "prior": request.prior,
+        "warnings": warnings,
+        "notes": (*problem.notes, *fit.notes, *friction_notes),
+        "selection": problem.selection,
+        "judged_part": None if problem.section is None else problem.section.description,
+        "data_check": data_check,
+        "horizon": _horizon(judged, states) if request.horizon else None,
+        "friction": terms,
+        "pre_sliding": states,
+    }
+    return Report(network, problem.settings, fit.identification, problem.patterns, results)
 
 
 def _recording_of(judged: Judged) -> Recording:
@@ -421,7 +407,7 @@ def _recording_of(judged: Judged) -> Recording:
     return Recording(together.time, together.q, together.torque)
 
 
-def _horizon(judged: Judged, friction: FrictionStates) -> HorizonError:
+def _horizon(judged: Judged, states: PreSlidingFit | None) -> HorizonError:
     """Errors of simulated motion: of the coefficients, of those with a state of dry friction, and
     of those of the robot's file."""
     problem, fit = judged.problem, judged.fit
@@ -430,9 +416,9 @@ def _horizon(judged: Judged, friction: FrictionStates) -> HorizonError:
     lengths: dict[str, np.ndarray] = {}
     if fit.lengths.any():
         lengths["fit"] = fit.lengths
-    elif friction.pre_sliding is not None:
-        coefficients[PRE_SLIDING] = friction.pre_sliding.fit.k
-        lengths[PRE_SLIDING] = friction.pre_sliding.lengths
+    elif states is not None:
+        coefficients[PRE_SLIDING] = states.fit.k
+        lengths[PRE_SLIDING] = states.lengths
     coefficients |= file_coefficients(fit.network)
     request = problem.request
     recording = request.validation or request.training[request.longest]

@@ -9,7 +9,7 @@ import numpy as np
 
 from .._processes import prepared_beside
 from ..bodies import JudgedPart, judged_bodies, with_knowledge
-from ..friction import PreSlidingFit, along_motion, checked_lengths, linearised
+from ..friction import along_motion, checked_lengths, linearised
 from ..instruments import DirectDynamics, InstrumentalVariables
 from ..least_squares import Identification, computed_on_host
 from ..selection import PRE_SLIDING
@@ -113,10 +113,12 @@ class Regression(AbstractEstimator):
             problem,
             fit,
             held_out,
-            bodies,
-            systematic,
-            problem.slopes,
-            several,
+            {
+                "possible": bodies,
+                "systematic": systematic,
+                "slopes": problem.slopes,
+                "several": several,
+            },
             vectors,
             warnings=(*problem.warnings, *(line for x in fitted for line in x.warnings)),
             consequences=tuple(sentences),
@@ -134,7 +136,7 @@ def with_states(judged: Judged, lengths: tuple[float, ...]) -> Judged:
     values = checked_lengths(network, lengths)
     patterns = problem.patterns["training"]
     fit = problem.solver.fit(along_motion(network, patterns, values), patterns)
-    return dataclasses.replace(judged, pre_sliding=PreSlidingFit(network, fit, values, {}, values))
+    return dataclasses.replace(judged, yielding=Fit(network, fit, values))
 
 
 def _less_offsets(problem: Problem, several: SeveralFit) -> Problem:

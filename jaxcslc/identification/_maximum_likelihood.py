@@ -22,7 +22,7 @@ from ..bodies import (
     possible_coefficients,
     with_knowledge,
 )
-from ..friction import PreSlidingFit, SlopeFit, along_motion, state_at
+from ..friction import SlopeFit, along_motion, state_at
 from ..least_squares import Identification, Settings, computed_on_host
 from ..likelihood import (
     Estimator,
@@ -106,8 +106,7 @@ class Likelihood(AbstractEstimator):
         problem = base.problem
         problem.step("maximum likelihood")
         if problem.begun is None:
-            states = base.pre_sliding
-            start = base.fit.identification if states is None else states.fit
+            start = (base.yielding or base.fit).identification
             fit = self.fit(dataclasses.replace(problem, start=start))
             assert isinstance(fit.source, LikelihoodFit)
             fits = LikelihoodFits(fit.source, None)
@@ -331,7 +330,8 @@ def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
     comparison = _comparison(unfitted, ours, error, relative, better)
     if comparison.used == "least-squares":
         fit = dataclasses.replace(base.fit, notes=(*base.fit.notes, *ours.notes))
-        return dataclasses.replace(base, fit=fit, comparison=comparison)
+        results = {**base.results, "estimators": comparison}
+        return dataclasses.replace(base, fit=fit, results=results)
     fit = fit if bodies is None else bodies.fit if likelihood.free is None else likelihood.fit
     ours = dataclasses.replace(ours, identification=fit)
     problem.step("computing errors")
@@ -342,15 +342,14 @@ def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
         held_out_of(problem, ours)
         if unfitted.source == "validation"
         else held_out_of(problem, ours, unfitted.source, error, mask),
-        bodies,
-        _systematic(likelihood.systematic, fit) if request.systematic else None,
-        _slopes(likelihood),
-        base.several,
+        {
+            "possible": bodies,
+            "systematic": _systematic(likelihood.systematic, fit) if request.systematic else None,
+            "slopes": _slopes(likelihood),
+            "several": base.results["several"],
+            "estimators": comparison,
+        },
         {} if bodies is None else bodies.other_coefficients,
-        comparison,
-        PreSlidingFit(ours.network, fit, ours.lengths, {}, ours.lengths)
-        if ours.lengths.any()
-        else None,
         consequences=(*sentences, *ours.warnings),
     )
 
@@ -363,7 +362,7 @@ def _unfitted(base: Judged, fits: LikelihoodFits) -> _Unfitted:
         recording = without_lag(request.validation, problem.lag)
         patterns = problem.patterns["validation"]
         fit = base.fit
-        if base.pre_sliding is not None:
+        if base.yielding is not None:
             fit = _regression(base, problem.patterns["training"])
         return _Unfitted("validation", [recording], patterns, fit, likelihood)
     shortest = min(recording.samples for recording in request.training.values())
@@ -408,16 +407,16 @@ def _regression(base: Judged, patterns: Patterns) -> Fit:
     fit = problem.solver.fit(along_motion(network, patterns, lengths), patterns)
     fit = with_knowledge(fit, problem.known)
     result = Fit(network, fit, lengths)
-    if base.bodies is None or not base.bodies.used:
+    bodies: PossibleFit | None = base.results["possible"]
+    if bodies is None or not bodies.used:
         return result
-    weight = base.bodies.parameters.prior_weight
+    weight = bodies.parameters.prior_weight
     return _with_k(result, _possible(problem.request, network, fit, weight))
 
 
 def _lengths(base: Judged) -> Float[np.ndarray, " joints"]:
     """(n,) of pre-sliding, of both estimators."""
-    states = base.pre_sliding
-    return np.zeros(base.fit.network.joint_count) if states is None else states.lengths
+    return (base.yielding or base.fit).lengths
 
 
 def _informed(request: Request, fit: Identification, network: CSLC) -> Identification:
