@@ -49,6 +49,7 @@ from ._possible_fit import (
     Choice as Choice,
     JudgedPart as JudgedPart,
     PossibleFit as PossibleFit,
+    held_out_of_parts as held_out_of_parts,
     judged_bodies as judged_bodies,
     moved_bodies as moved_bodies,
     other_masses as other_masses,

@@ -392,8 +392,8 @@ def possible_fit(
     errors = [part.errors(coefficients[id(part.fit)]) for part in parts]
     masks = [part.mask for part in parts]
     relative = RelativeError.of(errors, free_errors, masks)
-    held_out = _held_out(network, fit, parameters.k, parts, errors, source)
-    free_held_out = _held_out(network, fit, fit.k, parts, free_errors, source)
+    held_out = held_out_of_parts(network, fit, parameters.k, parts, source, errors)
+    free_held_out = held_out_of_parts(network, fit, fit.k, parts, source, free_errors)
     shifts = systematic()
     return PossibleFit(
         parameters,
@@ -463,25 +463,27 @@ def judged_bodies(
         else:
             held_out = bodies.held_out if bodies.used else bodies.free_held_out
             return bodies, held_out, bodies.warnings
-    errors = [part.errors(part.fit.k) for part in informed]
-    return None, _held_out(network, fit, fit.k, informed, errors, source), warnings
+    return None, held_out_of_parts(network, fit, fit.k, informed, source), warnings
 
 
-def _held_out(
+def held_out_of_parts(
     network: CSLC,
     fit: Identification,
     k: Float[Array | np.ndarray, " coefficients"],
     parts: Sequence[JudgedPart],
-    errors: Sequence[np.ndarray],
     source: Source,
+    errors: Sequence[np.ndarray] | None = None,
 ) -> HeldOut:
-    """Compute held-out errors of coefficients `k`, from errors of fits without each part.
+    """Compute held-out errors of coefficients `k`; training errors are those of `k` on all parts.
 
-    Training errors are those of `k` on all parts.
+    - `errors`: of fits without each part; those of `JudgedPart.fit` if None.
     """
+    if errors is None:
+        errors = [part.errors(part.fit.k) for part in parts]
     mask = np.concatenate([part.mask for part in parts])
     training = np.concatenate([part.errors(k) for part in parts])
-    judged = judged_errors(training, mask, np.concatenate(errors), mask, int(fit.rank))
-    return dataclasses.replace(
-        judged, source=source, units=network.output_units, names=network.output_names
+    return judged_errors(
+        *(training, mask, np.concatenate(errors), mask, int(fit.rank)),
+        network=network,
+        source=source,
     )

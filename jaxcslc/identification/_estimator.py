@@ -190,10 +190,9 @@ def held_out_of(
     if error is None or mask is None:
         validation = problem.patterns["validation"]
         error, mask = residual(fit, validation), np.asarray(validation.mask)
-    result = judged_errors(
+    return judged_errors(
         *(residual(fit, training), np.asarray(training.mask), error, mask),
         int(fit.identification.rank),
-    )
-    return dataclasses.replace(
-        result, source=source, units=fit.network.output_units, names=fit.network.output_names
+        network=fit.network,
+        source=source,
     )

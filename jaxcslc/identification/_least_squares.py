@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .._processes import prepared_beside
-from ..bodies import JudgedPart, judged_bodies, with_knowledge
+from ..bodies import JudgedPart, held_out_of_parts, judged_bodies, with_knowledge
 from ..friction import along_motion, checked_lengths, linearised
 from ..instruments import DirectDynamics, InstrumentalVariables
 from ..least_squares import Identification, computed_on_host
@@ -20,7 +20,6 @@ from ..uncertainty import (
     SystematicProblem,
     cross_validated_error,
     fit_recordings,
-    left_out_error,
 )
 from ._estimator import AbstractEstimator, Fit, Judged, held_out_of
 from ._exclusions import BODIES, LOAD_FRICTION, OFFSETS, PREVIOUS, SEVERAL
@@ -159,7 +158,9 @@ def _parts(problem: Problem, several: SeveralFit | None) -> tuple[JudgedPart, ..
 
 def _cross_validated(problem: Problem, fit: Fit, several: SeveralFit | None) -> HeldOut:
     if several is not None:
-        return left_out_error(fit.network, several.patterns, fit.identification, several.without)
+        parts = _parts(problem, several)
+        k = fit.identification.k
+        return held_out_of_parts(fit.network, fit.identification, k, parts, "left-out recording")
     return cross_validated_error(
         fit.network, problem.judged_patterns, problem.settings, fit=fit.identification
     )

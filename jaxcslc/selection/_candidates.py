@@ -35,18 +35,19 @@ _FAMILY_GAIN = 0.2
 
 @dataclasses.dataclass(frozen=True)
 class SearchAxis:
-    """Option of settings, and the values that a search tries for it.
+    """Option of `Preparation` or `LeastSquares`, and the values that a search tries, in order."""
 
-    **Attributes**
-
-    - `values`: in order.
-    - `value_of`: reads the option off settings.
-    - `replaced`: settings with another value of it.
-    """
-
+    option: str
     values: tuple[Any, ...]
-    value_of: Callable[[Settings], Any]
-    replaced: Callable[[Settings, Any], Settings]
+
+    def value_of(self, settings: Settings) -> Any:
+        """Read the option off settings."""
+        owner = settings.preparation if hasattr(settings.preparation, self.option) else None
+        return getattr(settings.solver if owner is None else owner, self.option)
+
+    def replaced(self, settings: Settings, value: Any) -> Settings:
+        """Return settings with another value of the option."""
+        return settings.with_options(**{self.option: value})
 
     def middle(self) -> Any:
         """The value in the middle."""
@@ -283,36 +284,17 @@ class Candidates:
     def families(self) -> tuple[SearchAxis, ...]:
         """The smoothings, an axis of the search for each family."""
         return tuple(
-            SearchAxis(
-                tuple(family),
-                lambda settings: settings.preparation.smoothing,
-                lambda settings, smoothing: settings.with_options(smoothing=smoothing),
-            )
+            SearchAxis("smoothing", tuple(family))
             for _, family in groupby(self.smoothings, key=type)
         )
 
     def options(self) -> tuple[SearchAxis, ...]:
         """All other options, an axis of the search each."""
-
-        def of_preparation(name: str, values: tuple[Any, ...]) -> SearchAxis:
-            return SearchAxis(
-                values,
-                lambda settings: getattr(settings.preparation, name),
-                lambda settings, value: settings.with_options(**{name: value}),
-            )
-
-        def of_solver(name: str, values: tuple[Any, ...]) -> SearchAxis:
-            return SearchAxis(
-                values,
-                lambda settings: getattr(settings.solver, name),
-                lambda settings, value: settings.with_options(**{name: value}),
-            )
-
         return (
-            of_preparation("velocity", self.velocities),
-            of_preparation("torque_alignment", self.torque_alignments),
-            of_preparation("torque_lag", self.torque_lags),
-            of_preparation("threshold_fraction", self.threshold_fractions),
-            of_solver("cutoff", self.cutoffs),
-            of_solver("joint_weights", self.joint_weights),
+            SearchAxis("velocity", self.velocities),
+            SearchAxis("torque_alignment", self.torque_alignments),
+            SearchAxis("torque_lag", self.torque_lags),
+            SearchAxis("threshold_fraction", self.threshold_fractions),
+            SearchAxis("cutoff", self.cutoffs),
+            SearchAxis("joint_weights", self.joint_weights),
         )

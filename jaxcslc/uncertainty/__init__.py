@@ -16,7 +16,6 @@ from ._held_out import (
     held_out_error as held_out_error,
     held_out_from as held_out_from,
     judged_errors as judged_errors,
-    left_out_error as left_out_error,
 )
 from ._several import (
     RecordingAgreement as RecordingAgreement,

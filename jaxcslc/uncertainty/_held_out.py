@@ -1,7 +1,7 @@
 """Torque errors on held-out data, and comparisons of errors beyond chance."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -152,8 +152,7 @@ def held_out_error(
             )
         errors.append(np.asarray(patterns.torque) - torque_of(network, patterns, fit.k))
     masks = np.asarray(training.mask), np.asarray(validation.mask)
-    held_out = judged_errors(errors[0], masks[0], errors[1], masks[1], int(fit.rank))
-    return dataclasses.replace(held_out, units=network.output_units, names=network.output_names)
+    return judged_errors(errors[0], masks[0], errors[1], masks[1], int(fit.rank), network=network)
 
 
 def cross_validated_error(
@@ -208,46 +207,10 @@ def cross_validated_error(
     if fit is None:
         fit = dataclasses.replace(solver, errors="independent").fit(network, patterns)
     training = torque - torque_by(network.support, columns, np.asarray(fit.k))
-    judged = judged_errors(training, mask, held_out, mask, int(fit.rank))
-    return dataclasses.replace(
-        judged,
+    return judged_errors(
+        *(training, mask, held_out, mask, int(fit.rank)),
+        network=network,
         source="cross-validation",
-        units=network.output_units,
-        names=network.output_names,
-    )
-
-
-def left_out_error(
-    network: AbstractLinearNetwork,
-    patterns: Mapping[str, Patterns],
-    fit: Identification,
-    without: Mapping[str, Identification],
-) -> HeldOut:
-    """Compute the error on each of several recordings under the coefficients of the others.
-
-    **Arguments**
-
-    - `network`: n joints, p coefficients.
-    - `patterns`: by recording.
-    - `fit`: to all of them.
-    - `without`: by recording, the fit without it.
-
-    **Returns** a `HeldOut`; its training error is that of the fit to everything.
-    """
-    training: list[np.ndarray] = []
-    held_out: list[np.ndarray] = []
-    for name, values in patterns.items():
-        columns, torque = columns_of(network, values), np.asarray(values.torque)
-        training.append(torque - torque_by(network.support, columns, np.asarray(fit.k)))
-        held_out.append(torque - torque_by(network.support, columns, np.asarray(without[name].k)))
-    mask = np.concatenate([np.asarray(values.mask) for values in patterns.values()])
-    errors = np.concatenate(training), np.concatenate(held_out)
-    judged = judged_errors(errors[0], mask, errors[1], mask, int(fit.rank))
-    return dataclasses.replace(
-        judged,
-        source="left-out recording",
-        units=network.output_units,
-        names=network.output_names,
     )
 
 
@@ -257,17 +220,24 @@ def judged_errors(
     held_out: np.ndarray,
     held_out_mask: np.ndarray,
     rank: int,
+    *,
+    network: AbstractLinearNetwork | None = None,
+    source: Source = "validation",
 ) -> HeldOut:
     """The RMS of errors (samples, n) of both kinds over the pairs of their masks, and its limit.
 
     - `rank`: of the fit.
+    - `network`: names and units of joints are its; `source`: of the held-out errors.
     """
     training_error, training_worth = _root_mean_square(training, training_mask)
     held_out_rms, held_out_worth = _root_mean_square(held_out, held_out_mask)
     share = min(rank / max(float(training_worth.sum()), 1.0), 0.9)
     degrees_of_freedom = np.maximum(training_worth * (1.0 - share), 1.0)
     chance = scipy.special.fdtri(np.maximum(held_out_worth, 1.0), degrees_of_freedom, 1.0 - _CHANCE)
-    return HeldOut(training_error, held_out_rms, np.sqrt(chance * (1.0 + share) / (1.0 - share)))
+    limit = np.sqrt(chance * (1.0 + share) / (1.0 - share))
+    units = None if network is None else network.output_units
+    names = None if network is None else network.output_names
+    return HeldOut(training_error, held_out_rms, limit, source, units, names)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -337,11 +307,6 @@ class RelativeError:
                 for values in (errors, reference, mask)
             )
         )
-
-    @property
-    def reversed(self) -> "RelativeError":
-        """Errors of the reference over these."""
-        return dataclasses.replace(self, change=-self.change)
 
     def beyond_chance(self, chance: float = 0.05) -> bool:
         """Return whether errors are smaller by at least 1 %, and by more than chance explains.
