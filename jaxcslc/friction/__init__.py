@@ -26,7 +26,6 @@ from ._pre_sliding import (
     split_friction as split_friction,
     state_after as state_after,
     state_at as state_at,
-    yielding_motion as yielding_motion,
 )
 from ._slopes import SlopeFit as SlopeFit, fit_slopes as fit_slopes
 

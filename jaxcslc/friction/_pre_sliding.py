@@ -285,68 +285,6 @@ def with_state(
     return CSLC(algebra=network.algebra, terms=tuple(terms)), state
 
 
-State = tuple[Array, Array, Array]
-"""Positions, velocities and states of contacts, (n,) each."""
-
-# Of positions [rad or m], velocities and states, and as parts of them: the error of a step.
-_MOTION_TOLERANCE = 1e-7
-
-
-@eqx.filter_jit
-def yielding_motion(
-    network: CSLC,
-    k: Float[Array | np.ndarray, " coefficients"],
-    lengths: Float[Array | np.ndarray, " joints"],
-    start: tuple[Float[Array | np.ndarray, " joints"], ...],
-    torque: Float[Array | np.ndarray, "intervals joints"],
-    interval: float,
-) -> tuple[Float[Array, "instants joints"], ...]:
-    """Motion of joints whose dry friction yields before it slides, under torques that are held.
-
-    **Arguments**
-
-    - `network`: n joints, p coefficients; `k`: (p,).
-    - `lengths`: (n,) of pre-sliding [rad or m]; of no account where a joint has no dry friction.
-    - `start`: positions, velocities and states of contacts, (n,) each [rad, rad/s or m, m/s, 1].
-    - `torque`: (intervals, n) [N m or N]; `interval`: its length [s].
-
-    **Returns** these at the beginning of every interval and at the end, (intervals + 1, n).
-    """
-    import diffrax  # with its own dependencies, half a second
-
-    others, friction, length = split_friction(network, jnp.asarray(k), lengths)
-
-    def rates(t: Any, state: State, force: Array) -> State:
-        del t
-        q, qd, w = state
-        acceleration = network.forward_dynamics(others, q, qd, force - friction * w)
-        return qd, acceleration, (qd - jnp.abs(qd) * w) / length
-
-    # One solution an interval: torque jumps between them, which no step may reach across.
-    def through(state: State, force: Array) -> tuple[State, State]:
-        solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(rates),
-            diffrax.Tsit5(),
-            t0=0.0,
-            t1=interval,
-            dt0=None,
-            y0=state,
-            args=force,
-            stepsize_controller=diffrax.PIDController(
-                rtol=_MOTION_TOLERANCE, atol=_MOTION_TOLERANCE
-            ),
-            throw=False,
-        )
-        assert solution.ys is not None
-        solved = solution.result == diffrax.RESULTS.successful
-        q, qd, w = (jnp.where(solved, x[-1], jnp.nan) for x in solution.ys)
-        return (q, qd, w), (q, qd, w)
-
-    q, qd, w = (jnp.asarray(x, float) for x in start)
-    _, path = jax.lax.scan(through, (q, qd, w), jnp.asarray(torque))
-    return tuple(jnp.concatenate([x[None], xs]) for x, xs in zip((q, qd, w), path, strict=True))
-
-
 # Lengths that are tried, as parts of a joint's range of motion. Between the neighbours of the best
 # one, the minimum is found to this part of itself: coefficients of a PUMA 560 then are within 0.004
 # standard errors of those of the exact minimum; to a hundredth, within 0.8.
@@ -414,40 +352,6 @@ class PreSlidingFit(eqx.Module):
         network, state = with_state(self.network, jnp.asarray(q), self.lengths, first)
         motion = (jnp.asarray(x) for x in (q, qd, qdd))
         return network.torque(jnp.asarray(self.fit.k), *motion), state[-1]
-
-    def motion(
-        self,
-        q: Float[Array | np.ndarray, " joints"],
-        qd: Float[Array | np.ndarray, " joints"],
-        torque: Float[Array | np.ndarray, "intervals joints"],
-        interval: float,
-        start: Float[Array | np.ndarray, " joints"] | None = None,
-    ) -> tuple[Float[Array, "instants joints"], ...]:
-        """Motion under torques that are held for an interval each: positions, velocities, states.
-
-        Integrated by diffrax (Tsitouras's method of fifth order, steps by its error), states of
-        contacts among the rest: no joint sticks, its contact holds it.
-
-        **Arguments**
-
-        - `q`, `qd`: (n,) positions and velocities to start from [rad, rad/s or m, m/s].
-        - `torque`: (intervals, n) [N m or N]; `interval`: its length [s].
-        - `start`: (n,) states of contacts; zeros if None.
-
-        **Returns** each at the beginning of every interval and at the end, (intervals + 1, n); NaN
-        from where on steps would be too many, as for a mass matrix that is of no body.
-
-        **Raises** `ValueError` for a joint with dry friction without a length.
-        """
-        dry = dry_term(self.network)
-        if unknown := [j + 1 for j in dry.joints if self.lengths[j] <= 0.0]:
-            raise ValueError(
-                f"pre-sliding: joint {unknown[0]} has dry friction without a length; expected a"
-                " length of every joint with dry friction"
-            )
-        first = np.zeros(self.network.joint_count) if start is None else start
-        state = q, qd, first
-        return yielding_motion(self.network, self.fit.k, self.lengths, state, torque, interval)
 
 
 def fit_pre_sliding(

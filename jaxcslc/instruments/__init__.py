@@ -39,4 +39,5 @@ __all__ = [
     "InstrumentalVariables",
     "SimulationFit",
     "prediction_error",
+    "simulate",
 ]

@@ -197,6 +197,8 @@ _SLOWEST = 1e-9
 
 State: TypeAlias = tuple[Array, Array, Array]
 """Positions, velocities and states of contacts, (starts, n) each."""
+Advance: TypeAlias = Callable[[State, Array], State]
+"""The motion of an interval: from its first state, by the torque that is held, to its last."""
 
 
 @eqx.filter_jit
@@ -257,7 +259,7 @@ def held_step(
     k: Array,
     interval: float,
     lengths: Float[Array | np.ndarray, " joints"] | None = None,
-) -> Callable[[State, Array], State]:
+) -> Advance:
     """The motion of one interval of `simulate`: from the state at its beginning and the torque that
     is held, (starts, n) each, to the state at its end.
 
@@ -432,17 +434,22 @@ class ControlledMotion(AbstractSimulatedMotion):
                 )
         del settings
         first = recording.position[:1]
-        path = _controlled(
-            network,
-            jnp.asarray(k),
-            first,
-            np.zeros_like(first),
-            self.controller,
-            self.reference,
-            interval,
-        )
-        q, qd, _ = (np.asarray(values)[:, 0] for values in path)
-        return q, qd, _at_samples(np.diff(qd, axis=0) / interval)
+        memory = self.controller.begin(jnp.asarray(first))
+        rows = jax.tree.map(lambda values: values[:-1], self.reference)
+        start = first, np.zeros_like(first)
+        path = _path(self, network, jnp.asarray(k), start, memory, rows, interval)
+        q, qd, change = (np.asarray(values)[:, 0] for values in path)
+        return q, qd, _at_samples(change[1:] / interval)
+
+    def after(
+        self, advance: Advance, state: State, memory: Any, row: Any, interval: float
+    ) -> tuple[State, Array, Any]:
+        """Return the state after an interval, its change of velocity, and the controller's
+        memory."""
+        desired = jax.tree.map(lambda values: jnp.broadcast_to(values, state[0].shape), row)
+        torque, memory = self.controller.step(memory, desired, state[0], interval)
+        end = advance(state, torque)
+        return end, end[1] - state[1], memory
 
 
 class CorrectedMotion(AbstractSimulatedMotion):
@@ -493,71 +500,55 @@ class CorrectedMotion(AbstractSimulatedMotion):
         middle = recording.time[:-1, None] + 0.5 * interval
         held = settings.preparation.torque_alignment != "sample"
         torque = applied_torque(recording, settings, middle, held=held)
-        kept = float(np.exp(-2.0 * np.pi * self.bandwidth * interval))
-        path = _corrected(
-            network, jnp.asarray(k), q[:1], qd[:1], recording.position, torque, kept, interval
-        )
+        rows = torque, recording.position[1:, None]
+        path = _path(self, network, jnp.asarray(k), (q[:1], qd[:1]), None, rows, interval)
         q, qd, change = (np.asarray(values)[:, 0] for values in path)
         return q, qd, _at_samples(change[1:] / interval)
 
+    def after(
+        self, advance: Advance, state: State, memory: None, row: Any, interval: float
+    ) -> tuple[State, Array, None]:
+        """Return the corrected state after an interval, and the change of velocity by torques.
 
-@eqx.filter_jit
-def _controlled(
-    network: CSLC,
-    k: Array,
-    q: Float[Array | np.ndarray, "starts joints"],
-    qd: Float[Array | np.ndarray, "starts joints"],
-    controller: Any,
-    reference: Any,
-    interval: float,
-) -> State:
-    """States at all samples, (samples, starts, n) each."""
-    advance = held_step(network, k, interval)
-
-    def through(carry: tuple[State, Any], row: Any) -> tuple[tuple[State, Any], State]:
-        state, memory = carry
-        desired = jax.tree.map(lambda values: jnp.broadcast_to(values, q.shape), row)
-        torque, memory = controller.step(memory, desired, state[0], interval)
-        return (advance(state, torque), memory), state
-
-    start = jnp.asarray(q), jnp.asarray(qd), jnp.zeros_like(qd)
-    memory = jax.tree.map(jnp.asarray, controller.begin(start[0]))
-    _, path = jax.lax.scan(through, (start, memory), jax.tree.map(jnp.asarray, reference))
-    return path
+        Gains of a critically damped observer: both its poles are at `kept`, the part of an error
+        that a sample leaves.
+        """
+        kept = float(np.exp(-2.0 * np.pi * self.bandwidth * interval))
+        force, reading = row
+        q, qd, contact = advance(state, force)
+        error = reading - q
+        corrected = q + (1.0 - kept**2) * error, qd + (1.0 - kept) ** 2 / interval * error
+        return (*corrected, contact), qd - state[1], memory
 
 
 @eqx.filter_jit
-def _corrected(
+def _path(
+    motion: Any,
     network: CSLC,
     k: Array,
-    q: Float[Array | np.ndarray, "starts joints"],
-    qd: Float[Array | np.ndarray, "starts joints"],
-    position: Float[Array | np.ndarray, "samples joints"],
-    torque: Float[Array | np.ndarray, "intervals starts joints"],
-    kept: float,
+    start: tuple[Array | np.ndarray, Array | np.ndarray],
+    memory: Any,
+    rows: Any,
     interval: float,
 ) -> tuple[Array, Array, Array]:
     """Positions and velocities at all samples, and changes of velocity by torques in the interval
     before each, (samples, starts, n) each.
 
-    Gains of a critically damped observer: both its poles are at `kept`, the part of an error that
-    a sample leaves.
+    - `start`: positions and velocities, (starts, n) each; `memory`: of `motion.after` there.
+    - `rows`: a pytree of arrays, with what `motion.after` gets of each interval.
     """
     advance = held_step(network, k, interval)
-    of_position, of_velocity = 1.0 - kept**2, (1.0 - kept) ** 2 / interval
 
-    def through(state: State, row: tuple[Array, Array]) -> tuple[State, tuple[Array, ...]]:
-        force, reading = row
-        before, (q, qd, contact) = state[1], advance(state, force)
-        error = reading - q
-        after = q + of_position * error, qd + of_velocity * error
-        return (*after, contact), (*after, qd - before)
+    def through(carry: tuple[State, Any], row: Any) -> tuple[tuple[State, Any], tuple[Array, ...]]:
+        state, change, memory = motion.after(advance, *carry, row, interval)
+        return (state, memory), (*state[:2], change)
 
-    start = jnp.asarray(q), jnp.asarray(qd), jnp.zeros_like(qd)
-    rows = jnp.asarray(torque), jnp.asarray(position)[1:, None]
-    _, path = jax.lax.scan(through, start, rows)
+    q, qd = (jnp.asarray(values) for values in start)
+    first = q, qd, jnp.zeros_like(qd)
+    carry = first, jax.tree.map(jnp.asarray, memory)
+    _, path = jax.lax.scan(through, carry, jax.tree.map(jnp.asarray, rows))
     q, qd, change = (
-        jnp.concatenate([initial[None], then]) for initial, then in zip(start, path, strict=True)
+        jnp.concatenate([initial[None], then]) for initial, then in zip(first, path, strict=True)
     )
     return q, qd, change
 

@@ -8,8 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.friction import yielding_motion
 from jaxcslc.instruments import file_coefficients, prediction_error, simulate
+from tests.yielding_motion import yielding_motion
 
 
 def pendulum(*friction: str) -> jc.CSLC:
