@@ -15,8 +15,8 @@ from jaxtyping import Array, Float
 
 from .._environment import require
 from .._rank import numerical_rank
-from ..derivation import Algebra, Coefficient
 from ..manipulator import Joint, LinkParameters, Manipulator
+from ..network import CSLC
 from ._body import (
     bodies_of,
     body_map,
@@ -512,30 +512,22 @@ class NearestBodies:
     @classmethod
     def from_fit(
         cls,
-        algebra: Algebra,
-        coefficients: Sequence[Coefficient],
+        network: CSLC,
         fit: Fitted,
+        prior: Sequence[LinkParameters] | None = None,
         *,
-        inertial: slice,
-        prior: Sequence[LinkParameters] | None,
         fixed: Sequence[LinkParameters | None] | None,
         weight: float,
-        motors: bool,
+        motors: bool = True,
         knowledge: Sequence[LinkKnowledge] = (),
     ) -> "NearestBodies":
-        """The programme of a fit.
-
-        **Arguments**
-
-        - `algebra`, `coefficients`: of the network.
-        - `inertial`: where the inertial ones are, `network.layout.inertial`.
-        - `fit`, `prior`, `fixed`, `weight`, `motors`, `knowledge`: as of `physical_parameters`.
+        """The programme of a fit; arguments are those of `physical_parameters`.
 
         **Raises**
 
         - `ValueError`: for a fit of another number of coefficients, or one that is not finite.
         """
-        robot, p = algebra.robot, len(coefficients)
+        robot, p, inertial = network.robot, network.size, network.layout.inertial
         k = np.asarray(fit.k, float)
         if k.shape != (p,):
             raise ValueError(f"fit: expected {p} coefficients, got an array of shape {k.shape}")
@@ -543,7 +535,7 @@ class NearestBodies:
         for i, link in enumerate(fixed or ()):
             if link is not None:
                 fixed_bodies[i] = bodies_of([link])[0]
-        inertial_of_bodies, of_motors = body_map(algebra)
+        inertial_of_bodies, of_motors = body_map(network.algebra)
         others = np.setdiff1d(np.arange(p), np.arange(p)[inertial])
         motor_mask = np.array([motors and inertia.motor for inertia in robot.inertia], bool)
         motor_count = int(motor_mask.sum())
@@ -565,7 +557,7 @@ class NearestBodies:
         scales = np.concatenate(
             [prior_bodies.motor_scales[motor_mask], np.where(sizes > 0, sizes, 1.0)]
         )
-        positive = np.array([c.positive for c in (coefficients[i] for i in others)], bool)
+        positive = np.array([network.coefficients[i].positive for i in others], bool)
         start = np.where(positive, np.maximum(k[others], 0.0), k[others])
         of_others = np.zeros((p, len(scales)))
         of_others[inertial, :motor_count] = of_motors[:, motor_mask]

@@ -62,15 +62,10 @@ class PhysicalParameters:
       [N m or N]; NaN where no patterns were given.
     - `result`: a member of `POSSIBILITY`.
 
-    >>> import numpy as np, jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.linspace(0, 5, 500)[:, None]
-    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), *motion))
-    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
-    >>> fit = jc.LeastSquares().fit(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
-    >>> parameters = jc.physical_parameters(network, fit)
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.pendulum())
+    >>> patterns = jc.examples.swing(network, [0.5, 0.3, -0.1, 0.2, 0.05])
+    >>> parameters = jc.physical_parameters(network, jc.LeastSquares().fit(network, patterns))
     >>> bool(parameters.links[0].mass > 0), parameters.to_pandas().shape[0]
     (True, 1)
     """
@@ -187,19 +182,14 @@ def physical_parameters(
     - `RuntimeError`: with `throw`, if the solver fails, as where no body has what is known of it.
     - `ImportError`: without the conic solver (the extra `inertia`), where it is needed.
 
-    >>> import numpy as np, jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.pendulum())
     >>> [c.expression for c in network.coefficients[:3]]
-    ['Izz1 + Im1', 'm1*rx1', 'm1*ry1']
-    >>> class Fit:  # a moment of inertia that is negative
-    ...     k = np.array([-0.5, 0.3, 0.0, 0.2, 0.05])
-    ...     covariance = np.diag([0.4, 1e-3, 1e-3, 1e-3, 1e-3]) ** 2
-    ...     undetermined = np.zeros((5, 5))
-    >>> parameters = jc.physical_parameters(network, Fit())
-    >>> k = parameters.k
-    >>> bool(k[0] > 0), round(float(k[1]), 2), float(parameters.links[0].mass) > 0
-    (True, 0.3, True)
+    ['Izz1 + Im1', '-g*m1*ry1', 'g*m1*rx1']
+    >>> patterns = jc.examples.swing(network, [-0.5, 0.3, 0.0, 0.2, 0.05])  # inertia below zero
+    >>> fit = jc.LeastSquares().fit(network, patterns)
+    >>> jc.physical_parameters(network, fit).k[0] > 0
+    np.True_
     """
     n = network.robot.joint_count
     for name, links in (("prior", prior), ("fixed", fixed)):
@@ -209,7 +199,7 @@ def physical_parameters(
         raise ValueError(f"prior_weight: expected a number above 0, got {prior_weight!r}")
     if not 0 < least < 1:
         raise ValueError(f"least: expected a number between 0 and 1, got {least!r}")
-    problem = _nearest_bodies(
+    problem = NearestBodies.from_fit(
         network,
         fit,
         prior=prior,
@@ -283,7 +273,7 @@ def distances_from(
 
     - `ValueError`: for a fit of another number of coefficients, or one that is not finite.
     """
-    problem = _nearest_bodies(
+    problem = NearestBodies.from_fit(
         network, fit, fixed=fixed_bodies(network.robot), weight=parameters.prior_weight
     )
     return replace(
@@ -304,35 +294,13 @@ def possible_coefficients(
 
     **Raises** as `physical_parameters`.
     """
-    problem = _nearest_bodies(network, fit, fixed=fixed, weight=prior_weight, knowledge=knowledge)
+    problem = NearestBodies.from_fit(
+        network, fit, fixed=fixed, weight=prior_weight, knowledge=knowledge
+    )
     optimum = problem.solve(LEAST)
     if optimum is None:
         raise RuntimeError(f"possible bodies: {POSSIBILITY[POSSIBILITY.failed]}")
     return problem.coefficients(optimum)
-
-
-def _nearest_bodies(
-    network: CSLC,
-    fit: Fitted,
-    *,
-    fixed: Sequence[LinkParameters | None] | None,
-    weight: float,
-    prior: Sequence[LinkParameters] | None = None,
-    motors: bool = True,
-    knowledge: Sequence[LinkKnowledge] = (),
-) -> NearestBodies:
-    """The programme of `physical_parameters`, for a network's coefficients."""
-    return NearestBodies.from_fit(
-        network.algebra,
-        network.coefficients,
-        fit,
-        inertial=network.layout.inertial,
-        prior=prior,
-        fixed=fixed,
-        weight=weight,
-        motors=motors,
-        knowledge=knowledge,
-    )
 
 
 def fixed_bodies(robot: Manipulator) -> tuple[LinkParameters | None, ...] | None:

@@ -242,16 +242,11 @@ class PossibleFit:
       zero where the motion does not determine it.
     - `warnings`: about bodies that are far from the fit, a sentence each.
 
-    >>> import numpy as np, jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.arange(1000)[:, None] * 0.01
-    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
-    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
-    >>> recording = jc.Recording(t[:, 0], q, torque)
-    >>> report = jc.identify(network, recording, settings=jc.Settings())
-    >>> report.possible.used, report.possible.parameters.bodies[0].mass > 0
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.pendulum())
+    >>> recording = jc.examples.swing_recording(network, [0.5, 0.3, -0.1, 0.2, 0.05])
+    >>> possible = jc.identify(network, recording, settings=jc.Settings()).possible
+    >>> possible.used, bool(possible.parameters.bodies[0].mass > 0)
     (False, True)
     """
 

@@ -305,19 +305,6 @@ class PreSlidingFit(eqx.Module):
     - `relative`: by joint, counted from 1: held-out error with a pre-sliding state over that
       without.
     - `tried_lengths`: (n,) [rad or m] that `relative` is of; 0 where no length fitted better.
-
-    >>> import numpy as np, jaxcslc as jc
-    >>> from jaxcslc.friction import fit_pre_sliding, pre_sliding
-    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(robot.with_friction("dry"), lengths="numeric")
-    >>> t = np.linspace(0, 20, 2000)[:, None]
-    >>> q, qd, qdd = 0.1 * np.sin(2 * t), 0.2 * np.cos(2 * t), -0.4 * np.sin(2 * t)
-    >>> w = np.asarray(pre_sliding(q, np.array([0.02]), np.zeros(1)))
-    >>> noise = 0.01 * np.random.default_rng(0).normal(size=t.shape)
-    >>> pairs, torque = np.ones(t.shape, bool), 0.5 * qdd + 0.4 * w + noise
-    >>> result = fit_pre_sliding(network, jc.Patterns(t[:, 0], q, qd, qdd, torque, pairs, pairs))
-    >>> np.round(result.lengths, 3).tolist(), np.round(np.asarray(result.fit.k), 2).tolist()
-    ([0.02], [0.5, 0.4])
     """
 
     network: CSLC
@@ -388,15 +375,15 @@ def fit_pre_sliding(
     - `RuntimeError`: as `LeastSquares.fit`.
 
     >>> import numpy as np, jaxcslc as jc
-    >>> from jaxcslc.friction import fit_pre_sliding
-    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(robot.with_friction("dry"), lengths="numeric")
-    >>> t = np.linspace(0, 20, 1000)[:, None]
-    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
-    >>> torque = -0.5 * np.sin(t) + 0.4 * np.sign(np.cos(t))  # it follows the sign of velocity
-    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
-    >>> fit_pre_sliding(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs)).lengths
-    array([0.])
+    >>> from jaxcslc.friction import fit_pre_sliding, pre_sliding
+    >>> network = jc.derive(jc.examples.turntable("dry"))
+    >>> patterns = jc.examples.swing(network, [0.5, 0.0], samples=2000)
+    >>> w = np.asarray(pre_sliding(patterns.q, np.array([0.05]), np.zeros(1)))
+    >>> noise = 0.01 * np.random.default_rng(0).normal(size=w.shape)
+    >>> torque = patterns.torque + 0.4 * w + noise
+    >>> result = fit_pre_sliding(network, dataclasses.replace(patterns, torque=torque))
+    >>> result.lengths.round(3).tolist(), result.fit.k.round(2).tolist()
+    ([0.05], [0.5, 0.4])
     """
     joints = dry_term(network).joints
     solver = LeastSquares() if solver is None else solver

@@ -288,14 +288,11 @@ def identify(
       of `physical_parameters`.
     - `ImportError`: with `possible="always"`, where the conic solver is needed and not installed.
 
-    >>> import numpy as np, jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.arange(1000)[:, None] * 0.01
-    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
-    >>> report = jc.identify(network, jc.Recording(t[:, 0], q, torque), settings=jc.Settings())
-    >>> np.round(report.k, 3).tolist()
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.pendulum())
+    >>> recording = jc.examples.swing_recording(network, [0.5, 0.3, -0.1, 0.2, 0.05])
+    >>> report = jc.identify(network, recording, settings=jc.Settings())
+    >>> report.k.round(3).tolist()
     [0.5, 0.3, -0.1, 0.2, 0.05]
     """
     if isinstance(estimator, str) and estimator not in ESTIMATORS:

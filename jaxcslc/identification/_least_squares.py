@@ -209,15 +209,12 @@ class SimulatedMotion(AbstractEstimator):
 
     - `method`: by settings of the problem, whatever its own.
 
-    >>> import numpy as np, jaxcslc as jc
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(arm.with_friction("viscous"), lengths="numeric")
-    >>> t = np.arange(800)[:, None] * 0.005
-    >>> torque = 0.5 * -4 * np.sin(2 * t) + 0.2 * 2 * np.cos(2 * t)
-    >>> recording = jc.Recording(t[:, 0], np.sin(2 * t), torque)
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.turntable("viscous"))
+    >>> recording = jc.examples.swing_recording(network, [0.5, 0.2])
     >>> estimator = SimulatedMotion(jc.InstrumentalVariables(iterations=5))
     >>> report = jc.identify(network, recording, settings=jc.Settings(), estimator=estimator)
-    >>> np.round(report.k, 3).tolist()
+    >>> report.k.round(3).tolist()
     [0.5, 0.2]
     """
 

@@ -164,11 +164,9 @@ def prediction_error(
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.instruments import prediction_error
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum.with_friction("viscous"), lengths="numeric")
-    >>> t = np.arange(400)[:, None] * 0.005
-    >>> k, motion = np.array([0.5, 0.3, -0.1, 0.2]), (np.sin(t), np.cos(t), -np.sin(t))
-    >>> recording = jc.Recording(t[:, 0], motion[0], np.asarray(network.torque(k, *motion)))
+    >>> network = jc.derive(jc.examples.pendulum("viscous"))
+    >>> k = np.array([0.5, 0.3, -0.1, 0.2])
+    >>> recording = jc.examples.swing_recording(network, k, time_step=0.005)
     >>> error = prediction_error(network, {"true": k, "heavy": 1.2 * k}, recording)
     >>> bool(error.error["true"][-1, 0] < 0.01 * error.error["heavy"][-1, 0])
     True

@@ -235,8 +235,7 @@ def simulate(
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.instruments import simulate
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(pendulum.with_friction("dry"), lengths="numeric")
+    >>> network = jc.derive(jc.examples.turntable("dry"))
     >>> start, push = np.zeros((2, 1)), np.full((100, 2, 1), 1.5)
     >>> push[:, 1] = 0.4  # less than dry friction
     >>> path = simulate(network, np.array([2.0, 0.5]), start, start, push, 0.01)
@@ -401,14 +400,12 @@ class ControlledMotion(AbstractSimulatedMotion):
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.control import PID, Reference
-    >>> from jaxcslc.instruments import ControlledMotion
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(arm.with_friction("viscous"), lengths="numeric")
+    >>> network = jc.derive(jc.examples.turntable("viscous"))
     >>> t = np.arange(500)[:, None] * 0.002
     >>> reference = Reference(1.0 - np.cos(t), np.sin(t), np.cos(t))
     >>> pid = PID(1, position_gain=2000.0, velocity_gain=100.0)
     >>> recording = jc.Recording(t[:, 0], reference.q, reference.q)
-    >>> motion = ControlledMotion(pid, reference)
+    >>> motion = jc.instruments.ControlledMotion(pid, reference)
     >>> q, qd, qdd = motion.simulate(network, np.array([0.5, 0.1]), recording, jc.Settings())
     >>> bool(np.max(np.abs(q - reference.q)) < 1e-3)
     True
@@ -469,15 +466,11 @@ class CorrectedMotion(AbstractSimulatedMotion):
     **Raises** `ValueError`: a bandwidth that is not a positive number.
 
     >>> import numpy as np, jaxcslc as jc
-    >>> from jaxcslc.instruments import CorrectedMotion
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(arm.with_friction("viscous"), lengths="numeric")
-    >>> t = np.arange(800)[:, None] * 0.002
-    >>> torque = 0.5 * -4 * np.sin(2 * t) + 0.2 * 2 * np.cos(2 * t)
-    >>> recording = jc.Recording(t[:, 0], np.sin(2 * t), torque)
-    >>> wrong = np.array([0.52, 0.2])
-    >>> q, qd, qdd = CorrectedMotion().simulate(network, wrong, recording, jc.Settings())
-    >>> bool(np.max(np.abs(q - np.sin(2 * t))) < 1e-3)
+    >>> network = jc.derive(jc.examples.turntable("viscous"))
+    >>> recording = jc.examples.swing_recording(network, [0.5, 0.2], time_step=0.002)
+    >>> motion, wrong = jc.instruments.CorrectedMotion(), np.array([0.52, 0.2])
+    >>> q, qd, qdd = motion.simulate(network, wrong, recording, jc.Settings())
+    >>> bool(np.max(np.abs(q - recording.position)) < 1e-3)
     True
     """
 

@@ -105,19 +105,6 @@ class FrictionChoice:
     - `network`: with the terms; the robot that it was derived from is `network.robot`.
     - `trials`: in the order in which they were made.
     - `note`: what was added without a trial, if anything was.
-
-    >>> import numpy as np, jaxcslc as jc
-    >>> from jaxcslc.selection import choose_friction
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> t = np.arange(800)[:, None] * 0.01
-    >>> q, qd, qdd = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
-    >>> true = jc.derive(pendulum.with_friction("viscous", "dry", "offset"), lengths="numeric")
-    >>> torque = np.asarray(true.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.1, 0.4]), q, qd, qdd))
-    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> choice = choose_friction(network, jc.Recording(t[:, 0], q, torque), jc.Settings())
-    >>> choice.network.robot.friction_per_joint
-    (('viscous', 'dry', 'offset'),)
     """
 
     network: CSLC
@@ -229,15 +216,14 @@ def choose_friction(
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.selection import choose_friction
-    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(robot.with_friction("viscous"), lengths="numeric")
-    >>> t = np.linspace(0, 10, 1000)[:, None]
-    >>> torque = -2 * np.sin(2 * t) + 0.8 * np.cos(2 * t) + 0.3  # a constant torque
-    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
-    >>> recording = jc.Recording(t[:, 0], np.sin(2 * t), torque)
+    >>> true = jc.derive(jc.examples.turntable("viscous", "offset"))
+    >>> exact = jc.examples.swing_recording(true, [0.5, 0.4, 0.3])  # with a constant torque
+    >>> noise = 0.01 * np.random.default_rng(0).normal(size=exact.torque.shape)
+    >>> recording = jc.Recording(exact.time, exact.position, exact.torque + noise)
+    >>> network = jc.derive(jc.examples.turntable("viscous"))
     >>> choice = choose_friction(network, recording, jc.Settings(), candidates=["offset"])
     >>> choice.network.names
-    ('kB1', 'kv1', 'ko1')
+    ('kM1', 'kv1', 'ko1')
     """
     if settings is None:
         progress("choosing settings")

@@ -355,15 +355,12 @@ def choose_settings(
     - `ValueError`: a recording of another number of joints, too many folds or fewer than two, a
       gap that leaves nothing to judge, or candidates that the recording cannot be treated by.
 
-    >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.arange(2000)[:, None] * 0.002
-    >>> q, qd, qdd = np.sin(5 * t), 5 * np.cos(5 * t), -25 * np.sin(5 * t)
-    >>> torque = np.asarray(network.torque(jnp.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
-    >>> recording = jc.Recording(t[:, 0], 1e-4 * np.round(q / 1e-4), torque)
-    >>> choice = jc.choose_settings(network, recording)
-    >>> choice.settings.preparation.torque_alignment
+    >>> import numpy as np, jaxcslc as jc
+    >>> network = jc.derive(jc.examples.pendulum())
+    >>> exact = jc.examples.swing_recording(network, [0.5, 0.3, -0.1, 0.2, 0.05], samples=2000)
+    >>> position = 1e-4 * np.round(exact.position / 1e-4)
+    >>> recording = jc.Recording(exact.time, position, exact.torque)
+    >>> jc.choose_settings(network, recording).settings.preparation.torque_alignment
     'sample'
     """
     selection, _ = selection_with_motion(

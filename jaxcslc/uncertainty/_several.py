@@ -394,16 +394,13 @@ def fit_recordings(
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.uncertainty import fit_recordings
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(arm, lengths="numeric")
-    >>> t, rng = np.linspace(0, 5, 500)[:, None], np.random.default_rng(0)
-    >>> q, qd, qdd, pairs = np.sin(t), np.cos(t), -np.sin(t), np.ones(t.shape, bool)
+    >>> network, rng = jc.derive(jc.examples.turntable()), np.random.default_rng(0)
     >>> def patterns(friction):
-    ...     torque = np.asarray(network.torque(np.array([0.5, friction, 1.0]), q, qd, qdd))
-    ...     noise = 0.01 * rng.standard_normal(t.shape)
-    ...     return jc.Patterns(t[:, 0], q, qd, qdd, torque + noise, pairs, pairs)
-    >>> cold, warm = patterns(2.0), patterns(1.5)
-    >>> fit_recordings(network, {"cold": cold, "warm": warm}).agreement.differing["warm"]
+    ...     exact = jc.examples.swing(network, [0.5, friction, 1.0])
+    ...     noise = 0.01 * rng.standard_normal(exact.torque.shape)
+    ...     return dataclasses.replace(exact, torque=exact.torque + noise)
+    >>> both = {"cold": patterns(2.0), "warm": patterns(1.5)}
+    >>> fit_recordings(network, both).agreement.differing["warm"]
     ('kv1',)
     """
     if len(patterns) < 2:

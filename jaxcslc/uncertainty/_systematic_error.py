@@ -163,15 +163,11 @@ def standard_uncertainty(
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.uncertainty import SystematicError, standard_uncertainty
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(pendulum.with_friction(), lengths="numeric")
-    >>> t = np.linspace(0, 5, 500)[:, None]
-    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
-    >>> torque = -0.5 * np.sin(t) + 0.01 * np.random.default_rng(0).normal(size=t.shape)
-    >>> fit = jc.LeastSquares().fit(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
-    >>> systematic = SystematicError({"smoothing": np.array([0.003])})
-    >>> np.round(standard_uncertainty(fit, systematic), 4).tolist()
-    [0.0031]
+    >>> network = jc.derive(jc.examples.turntable("viscous"))
+    >>> fit = jc.LeastSquares().fit(network, jc.examples.swing(network, [0.5, 0.2]))  # exact
+    >>> systematic = SystematicError({"smoothing": np.array([0.003, 0.0])})
+    >>> standard_uncertainty(fit, systematic).round(4).tolist()
+    [0.003, 0.0]
     """
     error = np.asarray(fit.standard_error)
     return error if systematic is None else np.sqrt(error**2 + systematic.total**2)
@@ -197,15 +193,11 @@ def uncertainty_interval(
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.uncertainty import SystematicError, uncertainty_interval
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(arm, lengths="numeric")
-    >>> t = np.linspace(0, 5, 500)[:, None]
-    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 2.0, 1.0]), *motion))
-    >>> fit = jc.LeastSquares().fit(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
-    >>> shifted = SystematicError({"smoothing": np.array([0.01, 0.0, 0.0])})
-    >>> bool(np.diff(uncertainty_interval(fit, shifted)[0])[0] > 0.02)
-    True
+    >>> network = jc.derive(jc.examples.turntable("viscous"))
+    >>> fit = jc.LeastSquares().fit(network, jc.examples.swing(network, [0.5, 0.2]))  # exact
+    >>> systematic = SystematicError({"smoothing": np.array([0.01, 0.0])})
+    >>> uncertainty_interval(fit, systematic).round(2).tolist()
+    [[0.48, 0.52], [0.2, 0.2]]
     """
     interval = fit.confidence_interval(level)
     if systematic is None:
@@ -267,14 +259,10 @@ def systematic_error(
     - `ValueError`: a recording that the settings cannot be used for, or groups that are not the
       network's.
 
-    >>> import numpy as np, jaxcslc as jc
+    >>> import jaxcslc as jc
     >>> from jaxcslc.uncertainty import systematic_error
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(arm, lengths="numeric")
-    >>> t = np.arange(1000)[:, None] * 0.01
-    >>> q, qd, qdd = np.sin(3 * t), 3 * np.cos(3 * t), -9 * np.sin(3 * t)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 2.0, 1.0]), q, qd, qdd))
-    >>> recording = jc.Recording(t[:, 0], q, torque + 0.3)  # an offset that the network lacks
+    >>> network = jc.derive(jc.examples.turntable())
+    >>> recording = jc.examples.swing_recording(network, [0.5, 2.0, 1.0])
     >>> settings = jc.Settings(jc.Preparation(jc.Butterworth(2.0)))
     >>> fit = settings.fit(network, settings.patterns(recording))
     >>> tuple(systematic_error(network, recording, settings, fit).parts)
