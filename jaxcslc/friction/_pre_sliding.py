@@ -34,7 +34,7 @@ from ..uncertainty import RelativeError
 
 
 @jax.jit
-def pre_sliding(
+def contact_states(
     q: Float[Array | np.ndarray, "samples joints"],
     length: Float[Array | np.ndarray, " joints"],
     start: Float[Array | np.ndarray, " joints"],
@@ -58,9 +58,9 @@ def pre_sliding(
     **Returns** w at every sample, (samples, n); the last one continues the motion.
 
     >>> import numpy as np
-    >>> from jaxcslc.friction import pre_sliding
+    >>> from jaxcslc.friction import contact_states
     >>> there_and_back = np.array([[0.0], [0.1], [0.0]])
-    >>> w = pre_sliding(there_and_back, np.array([0.1]), np.zeros(1))
+    >>> w = contact_states(there_and_back, np.array([0.1]), np.zeros(1))
     >>> np.round(np.asarray(w)[:, 0], 3).tolist()  # 1 - 1/e, and back from there
     [0.0, 0.632, -0.4]
     """
@@ -86,12 +86,12 @@ def state_after(
     return sign + (w - sign) * functions.exp(-functions.absolute(change) / length)
 
 
-def checked_lengths(network: CSLC, lengths: Any) -> Float[np.ndarray, " joints"]:
-    """Lengths of pre-sliding as an array, (n,).
+def checked_distance(network: CSLC, presliding_distance: Any) -> Float[np.ndarray, " joints"]:
+    """Distances of pre-sliding as an array, (n,).
 
     **Raises** `ValueError` for other than n numbers from 0 up, or of joints without dry friction.
     """
-    joints, values = network.joint_count, np.asarray(lengths, float)
+    joints, values = network.joint_count, np.asarray(presliding_distance, float)
     if values.shape != (joints,) or not np.all(np.isfinite(values) & (values >= 0.0)):
         raise ValueError(f"lengths: expected {joints} finite numbers from 0 up")
     without = {*np.flatnonzero(values).tolist()}
@@ -104,28 +104,28 @@ def checked_lengths(network: CSLC, lengths: Any) -> Float[np.ndarray, " joints"]
 
 
 def split_friction(
-    network: CSLC, k: Array, lengths: Float[Array | np.ndarray, " joints"]
+    network: CSLC, k: Array, presliding_distance: Float[Array | np.ndarray, " joints"]
 ) -> tuple[Array, Float[Array, " joints"], Float[Array, " joints"]]:
     """Coefficients without the dry friction of joints with a length, and that friction.
 
     **Arguments**
 
     - `network`: n joints, some with dry friction; `k`: (p,) its coefficients.
-    - `lengths`: (n,) of pre-sliding [rad or m]; 0 where friction follows the sign of velocity.
+    - `presliding_distance`: (n,) [rad or m]; 0 where friction follows the sign of velocity.
 
     **Returns**
 
     - (p,) coefficients, 0 for dry friction that has a state.
     - (n,) what the state of each joint is multiplied by [N m or N]; 0 where friction has none.
-    - (n,) lengths to divide by, 1 where there is none.
+    - (n,) distances to divide by, 1 where there is none.
     """
     dry = dry_term(network)
     part, joints = network.layout.of(dry), np.array(dry.joints)
-    lengths = jnp.asarray(lengths)
-    yields = lengths > 0.0
+    presliding_distance = jnp.asarray(presliding_distance)
+    yields = presliding_distance > 0.0
     sizes = jnp.zeros(network.joint_count, k.dtype).at[joints].set(k[part])
     others = k.at[part].set(jnp.where(yields[joints], 0.0, k[part]))
-    return others, jnp.where(yields, sizes, 0.0), jnp.where(yields, lengths, 1.0)
+    return others, jnp.where(yields, sizes, 0.0), jnp.where(yields, presliding_distance, 1.0)
 
 
 class YieldingFriction(AbstractManipulatorTerm):
@@ -212,24 +212,24 @@ def dry_term(network: CSLC) -> JointTerm:
 def along_motion(
     network: CSLC,
     patterns: Patterns,
-    lengths: Float[np.ndarray, " joints"],
+    presliding_distance: Float[np.ndarray, " joints"],
     start: Float[np.ndarray, " joints"] | None = None,
 ) -> CSLC:
-    """The network for the motion of patterns: its dry friction has states where it has lengths.
+    """The network for the motion of patterns: its dry friction has states where it has distances.
 
-    What a state starts with is forgotten within a few lengths; so is that joints seem to move from
-    one recording to the next where patterns of several are joined.
+    A state forgets its start within a few such distances, and so that joints seem to move from one
+    recording to the next where patterns of several are joined.
 
     **Arguments**
 
     - `network`: n joints, some with dry friction.
     - `patterns`: whose positions states are along.
-    - `lengths`: (n,) of pre-sliding [rad or m]; the network itself is returned if all are 0.
+    - `presliding_distance`: (n,) [rad or m]; the network itself is returned if all are 0.
     - `start`: (n,) states at the first sample; zeros if None.
     """
-    if not np.any(lengths):
+    if not np.any(presliding_distance):
         return network
-    return with_state(network, np.asarray(patterns.q), lengths, start)[0]
+    return with_state(network, np.asarray(patterns.q), presliding_distance, start)[0]
 
 
 def has_states(network: CSLC) -> bool:
@@ -238,20 +238,22 @@ def has_states(network: CSLC) -> bool:
 
 
 def state_at(
-    patterns: Patterns, lengths: Float[np.ndarray, " joints"], sample: int
+    patterns: Patterns, presliding_distance: Float[np.ndarray, " joints"], sample: int
 ) -> Float[np.ndarray, " joints"]:
     """(n,) states of contacts at a sample of a motion that begins without strain; 0 of joints
     without a length [rad or m]."""
-    yields = lengths > 0.0
+    yields = presliding_distance > 0.0
     before = np.asarray(patterns.q)[: sample + 1]
-    state = pre_sliding(before, np.where(yields, lengths, 1.0), np.zeros(len(lengths)))
+    state = contact_states(
+        before, np.where(yields, presliding_distance, 1.0), np.zeros(len(presliding_distance))
+    )
     return np.where(yields, np.asarray(state)[-1], 0.0)
 
 
 def with_state(
     network: CSLC,
     q: Float[Array | np.ndarray, "samples joints"],
-    lengths: Float[np.ndarray, " joints"],
+    presliding_distance: Float[np.ndarray, " joints"],
     start: Float[Array | np.ndarray, " joints"] | None = None,
 ) -> tuple[CSLC, Float[Array, "samples joints"]]:
     """The network whose dry friction has its state along a motion, and the state.
@@ -260,14 +262,14 @@ def with_state(
 
     - `network`: n joints, some with dry friction.
     - `q`: positions along the motion, (samples, n) [rad or m].
-    - `lengths`: (n,) of pre-sliding [rad or m]; 0 where friction follows the sign of velocity.
+    - `presliding_distance`: (n,) [rad or m]; 0 where friction follows the sign of velocity.
     - `start`: (n,) the state at the first sample; zeros if None.
 
     **Returns** the network, for this motion in one piece, and the state (samples, n).
     """
-    slides = lengths <= 0.0
-    first = np.zeros(len(lengths)) if start is None else start
-    state = pre_sliding(q, np.where(slides, 1.0, lengths), first)
+    slides = presliding_distance <= 0.0
+    first = np.zeros(len(presliding_distance)) if start is None else start
+    state = contact_states(q, np.where(slides, 1.0, presliding_distance), first)
     numbers = np.asarray(state) if isinstance(q, np.ndarray) else state
     dry = dry_term(network)
     terms = (
@@ -285,10 +287,10 @@ def with_state(
     return CSLC(algebra=network.algebra, terms=tuple(terms)), state
 
 
-# Lengths that are tried, as parts of a joint's range of motion. Between the neighbours of the best
+# Distances that are tried, as parts of a joint's range of motion. Between neighbours of the best
 # one, the minimum is found to this part of itself: coefficients of a PUMA 560 then are within 0.004
 # standard errors of those of the exact minimum; to a hundredth, within 0.8.
-_LENGTHS, _TOLERANCE = np.geomspace(1e-4, 0.3, 12), 1e-4
+_DISTANCES, _TOLERANCE = np.geomspace(1e-4, 0.3, 12), 1e-4
 # Stretches that are predicted by fits to the others.
 _FOLDS = 8
 
@@ -300,23 +302,23 @@ class PreSlidingFit(eqx.Module):
 
     - `network`: as it was fitted, with dry friction in proportion to sign(qd).
     - `fit`: its coefficients; those of dry friction are for motion that slides. Standard errors are
-      for lengths that are known.
-    - `lengths`: (n,) [rad or m]; 0 where friction follows the sign of velocity.
+      for distances that are known.
+    - `presliding_distance`: (n,) [rad or m]; 0 where friction follows the sign of velocity.
     - `relative`: by joint, counted from 1: held-out error with a pre-sliding state over that
       without.
-    - `tried_lengths`: (n,) [rad or m] that `relative` is of; 0 where no length fitted better.
+    - `tried_distance`: (n,) [rad or m] that `relative` is of; 0 where no length fitted better.
     """
 
     network: CSLC
     fit: Identification
-    lengths: Float[np.ndarray, " joints"]
+    presliding_distance: Float[np.ndarray, " joints"]
     relative: dict[int, RelativeError]
-    tried_lengths: Float[np.ndarray, " joints"]
+    tried_distance: Float[np.ndarray, " joints"]
 
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints whose friction has a length of pre-sliding."""
-        pairs = zip(self.network.output_names, self.lengths, strict=True)
+        pairs = zip(self.network.output_names, self.presliding_distance, strict=True)
         return tuple(name for name, length in pairs if length > 0.0)
 
     def torque(
@@ -336,7 +338,7 @@ class PreSlidingFit(eqx.Module):
         **Returns** torque (samples, n) [N m or N], and the state at the last sample, (n,).
         """
         first = np.zeros(self.network.joint_count) if start is None else start
-        network, state = with_state(self.network, jnp.asarray(q), self.lengths, first)
+        network, state = with_state(self.network, jnp.asarray(q), self.presliding_distance, first)
         motion = (jnp.asarray(x) for x in (q, qd, qdd))
         return network.torque(jnp.asarray(self.fit.k), *motion), state[-1]
 
@@ -349,10 +351,10 @@ def fit_pre_sliding(
     judged: Bool[Array | np.ndarray, "samples joints"] | None = None,
     chance: float = 0.05,
 ) -> PreSlidingFit:
-    """Lengths of pre-sliding, joint by joint, with all coefficients.
+    """Distances of pre-sliding, joint by joint, with all coefficients.
 
-    Dry friction counts by its state along the motion. For lengths that are known torque is linear
-    in the coefficients; lengths are searched for by the sum of each joint's squared residuals: a
+    Dry friction counts by its state along the motion. For distances that are known torque is linear
+    in the coefficients; distances are searched for by the sum of each joint's squared residuals: a
     grid, then Brent's method. A joint keeps its length where stretches that were left
     out of the fit are predicted better by 1 % and by more than chance explains (Student's t,
     one-sided).
@@ -363,8 +365,8 @@ def fit_pre_sliding(
     - `patterns`: of one motion without gaps, slow pairs included: a mask of slow motion leaves out
       what says most of pre-sliding. Masked pairs count as motion.
     - `solver`: options of the fit; the defaults of `LeastSquares` if None.
-    - `judged`: (samples, n) pairs that lengths are searched for and judged on; those of the fit if
-      None. Slow pairs count here at no cost to coefficients that a mask protects from them.
+    - `judged`: (samples, n) pairs that distances are searched for and judged on; those of the fit
+      if None. Slow pairs count here at no cost to coefficients that a mask protects from them.
     - `chance`: the part of such gains that is chance.
 
     **Returns** a `PreSlidingFit`.
@@ -375,14 +377,14 @@ def fit_pre_sliding(
     - `RuntimeError`: as `LeastSquares.fit`.
 
     >>> import numpy as np, jaxcslc as jc
-    >>> from jaxcslc.friction import fit_pre_sliding, pre_sliding
+    >>> from jaxcslc.friction import fit_pre_sliding, contact_states
     >>> network = jc.derive(jc.examples.turntable("dry"))
     >>> patterns = jc.examples.swing(network, [0.5, 0.0], samples=2000)
-    >>> w = np.asarray(pre_sliding(patterns.q, np.array([0.05]), np.zeros(1)))
+    >>> w = np.asarray(contact_states(patterns.q, np.array([0.05]), np.zeros(1)))
     >>> noise = 0.01 * np.random.default_rng(0).normal(size=w.shape)
     >>> torque = patterns.torque + 0.4 * w + noise
     >>> result = fit_pre_sliding(network, dataclasses.replace(patterns, torque=torque))
-    >>> result.lengths.round(3).tolist(), result.fit.k.round(2).tolist()
+    >>> result.presliding_distance.round(3).tolist(), result.fit.k.round(2).tolist()
     ([0.05], [0.5, 0.4])
     """
     joints = dry_term(network).joints
@@ -395,63 +397,66 @@ def fit_pre_sliding(
         np.isin(np.arange(network.joint_count), joints),
     )
 
-    def squares(lengths: Float[np.ndarray, " joints"]) -> Float[np.ndarray, " joints"]:
-        yielding, _ = with_state(network, q, lengths)
+    def squares(presliding_distance: Float[np.ndarray, " joints"]) -> Float[np.ndarray, " joints"]:
+        yielding, _ = with_state(network, q, presliding_distance)
         k = search.fit(yielding, patterns).k
         error = np.asarray(patterns.torque) - torque_of(yielding, patterns, k)
         return np.sum(np.where(mask, error, 0.0) ** 2, axis=0)
 
-    grid = np.outer([0.0, *_LENGTHS], np.where(dry, reach, 0.0))
-    best = np.argmin([squares(lengths) for lengths in grid], axis=0)
-    lengths = grid[best, np.arange(len(reach))]
-    (moving,) = np.nonzero(lengths)
+    grid = np.outer([0.0, *_DISTANCES], np.where(dry, reach, 0.0))
+    best = np.argmin([squares(presliding_distance) for presliding_distance in grid], axis=0)
+    presliding_distance = grid[best, np.arange(len(reach))]
+    (moving,) = np.nonzero(presliding_distance)
 
     def moved(logarithms: np.ndarray, which: np.ndarray) -> np.ndarray:
-        """Squares of joints whose lengths are moved, all of them in one fit."""
-        lengths[moving[which]] = np.exp(logarithms)
-        return squares(lengths)[moving[which]]
+        """Squares of joints whose distances are moved, all of them in one fit."""
+        presliding_distance[moving[which]] = np.exp(logarithms)
+        return squares(presliding_distance)[moving[which]]
 
     # A fit for each joint's length, as `scipy.optimize.minimize_scalar` asks for, would be several
     # times as many fits.
-    middle, width = np.log(lengths[moving]), np.log(_LENGTHS[1] / _LENGTHS[0])
+    middle, width = np.log(presliding_distance[moving]), np.log(_DISTANCES[1] / _DISTANCES[0])
     tolerance = np.full(len(moving), _TOLERANCE)
-    lengths[moving] = np.exp(bounded_minima(moved, middle - width, middle + width, tolerance))
-    relative = _held_out(network, patterns, solver, lengths, joints, mask)
+    presliding_distance[moving] = np.exp(
+        bounded_minima(moved, middle - width, middle + width, tolerance)
+    )
+    relative = _held_out(network, patterns, solver, presliding_distance, joints, mask)
     kept = [
         relative[j + 1].beyond_chance(chance) if j + 1 in relative else False
         for j in range(len(dry))
     ]
-    supported = np.where(kept, lengths, 0.0)
+    supported = np.where(kept, presliding_distance, 0.0)
     fit = solver.fit(with_state(network, q, supported)[0], patterns)
-    return PreSlidingFit(network, fit, supported, relative, lengths)
+    return PreSlidingFit(network, fit, supported, relative, presliding_distance)
 
 
 def _held_out(
     network: CSLC,
     patterns: Patterns,
     solver: LeastSquares,
-    lengths: Float[np.ndarray, " joints"],
+    presliding_distance: Float[np.ndarray, " joints"],
     joints: tuple[int, ...],
     judged: Bool[np.ndarray, "samples joints"],
 ) -> dict[int, RelativeError]:
-    """Errors of stretches under fits to the others, with lengths over those without."""
+    """Errors of stretches under fits to the others, with distances over those without."""
     fold = np.arange(patterns.samples) * _FOLDS // patterns.samples
-    yielding, _ = with_state(network, np.asarray(patterns.q), lengths)
+    yielding, _ = with_state(network, np.asarray(patterns.q), presliding_distance)
     after, before = (solver.held_out_errors(x, patterns, fold) for x in (yielding, network))
     return {
         joint + 1: RelativeError.of_joint(after, before, judged, fold, joint + 1)
         for joint in joints
-        if lengths[joint] > 0.0
+        if presliding_distance[joint] > 0.0
     }
 
 
-_SAVED = ("lengths", "tried_lengths")
+# Entries of the file, and attributes.
+_SAVED = {"lengths": "presliding_distance", "tried_lengths": "tried_distance"}
 
 
 def pre_sliding_document(result: PreSlidingFit) -> dict[str, Any]:
     """A `PreSlidingFit` as plain data, without its network."""
     return {
-        **{name: getattr(result, name) for name in _SAVED},
+        **{entry: getattr(result, name) for entry, name in _SAVED.items()},
         "relative": {
             str(joint): [error.change, error.change_error, error.parts]
             for joint, error in result.relative.items()
@@ -471,7 +476,7 @@ def pre_sliding_from(document: Any, network: CSLC, where: str) -> PreSlidingFit:
     if fit.names != network.names:
         raise ValueError(f"{where}, fit: expected the coefficients of {network.name!r}")
     try:
-        lengths, tried = (np.array(document[name], float) for name in _SAVED)
+        presliding_distance, tried = (np.array(document[name], float) for name in _SAVED)
         relative = {
             int(joint): RelativeError(
                 float(change), np.inf if spread is None else float(spread), int(parts)
@@ -481,6 +486,10 @@ def pre_sliding_from(document: Any, network: CSLC, where: str) -> PreSlidingFit:
     except (AttributeError, KeyError, TypeError, ValueError):
         raise ValueError(f"{where}: expected lengths, tried_lengths and relative") from None
     shape = (network.joint_count,)
-    if lengths.shape != shape or tried.shape != shape or not np.all(lengths >= 0.0):
+    if (
+        presliding_distance.shape != shape
+        or tried.shape != shape
+        or not np.all(presliding_distance >= 0.0)
+    ):
         raise ValueError(f"{where}: lengths: expected {shape[0]} numbers from 0 up")
-    return PreSlidingFit(network, fit, lengths, relative, tried)
+    return PreSlidingFit(network, fit, presliding_distance, relative, tried)

@@ -266,6 +266,12 @@ class SlopeFit(eqx.Module):
     - `converged`: whether the search converged.
     - `dropped`: joints, counted from 1, whose slope the patterns do not determine.
     - `warnings`: one sentence for each of them.
+
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.pendulum("dry", "static"))
+    >>> patterns = jc.examples.swing(network, [0.5, 0.3, -0.1, 0.2, 0.0])  # no static friction
+    >>> jc.fit_slopes(network, patterns).dropped
+    (1,)
     """
 
     network: CSLC

@@ -31,14 +31,14 @@ class Fit:
 
     - `network`: that they are of, with slopes of static friction.
     - `identification`: their values and covariance, without what is known beforehand.
-    - `lengths`: (n,) of pre-sliding [rad or m]; 0 where dry friction follows the sign of velocity.
+    - `presliding_distance`: (n,) [rad or m]; 0 where dry friction follows the sign of velocity.
     - `source`: what the estimator says beyond that, as its own kind of result.
     - `warnings`, `notes`: one sentence each.
     """
 
     network: CSLC
     identification: Identification
-    lengths: Float[np.ndarray, " joints"]
+    presliding_distance: Float[np.ndarray, " joints"]
     source: SeveralFit | LikelihoodFit | None = None
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -171,7 +171,7 @@ def residual(
 
     - `start`: (n,) states of dry friction at the first sample; zeros if None.
     """
-    network = along_motion(fit.network, patterns, fit.lengths, start)
+    network = along_motion(fit.network, patterns, fit.presliding_distance, start)
     return np.asarray(patterns.torque) - torque_of(network, patterns, fit.k)
 
 

@@ -62,7 +62,7 @@ _TOO_LONG = "the recording is too long to be fitted in one piece"
 class ChosenFriction:
     """Friction that is chosen by the data.
 
-    - `request`: with the terms in its network and, with maximum likelihood, lengths of pre-sliding
+    - `request`: with the terms in its network and, with maximum likelihood, pre-sliding distances
       and static friction of joints without.
     - `settings`: that terms were judged by; None if the request has its own.
     - `terms`: joint by joint, and what each was worth.
@@ -80,8 +80,7 @@ class ChosenFriction:
 def choose_friction_terms(request: Request, step: Callable[[str], None]) -> ChosenFriction:
     """Choose friction joint by joint, on the longest recording.
 
-    Where maximum likelihood is fitted, lengths of pre-sliding are chosen now, for its fits have to
-    know them.
+    Where maximum likelihood is fitted, pre-sliding distances are chosen now: its fits use them.
     """
     longest = request.training[request.longest]
     unfit = excluded(request, LOAD_FRICTION)
@@ -112,7 +111,7 @@ def choose_friction_terms(request: Request, step: Callable[[str], None]) -> Chos
         terms = terms.with_pre_sliding(tried)
         if tried.joint_names:
             options = dataclasses.replace(
-                request.likelihood_options, lengths=tuple(tried.lengths.tolist())
+                request.likelihood_options, lengths=tuple(tried.presliding_distance.tolist())
             )
             request = dataclasses.replace(request, likelihood=options)
     if request.estimator == "maximum-likelihood":
@@ -137,11 +136,13 @@ def friction_results(
     terms = None if chosen is None else chosen.terms
     tried = None if chosen is None else chosen.tried
     fit = judged.yielding or judged.fit
-    if fit.lengths.any():
-        states = PreSlidingFit(fit.network, fit.identification, fit.lengths, {}, fit.lengths)
+    if fit.presliding_distance.any():
+        states = PreSlidingFit(
+            fit.network, fit.identification, fit.presliding_distance, {}, fit.presliding_distance
+        )
         if tried is not None:
             states = dataclasses.replace(
-                states, relative=tried.relative, tried_lengths=tried.tried_lengths
+                states, relative=tried.relative, tried_distance=tried.tried_distance
             )
     if chosen is not None and tried is None:
         not_tried = chosen.not_tried or (None if problem.part is None else _TOO_LONG)
@@ -154,7 +155,7 @@ def friction_results(
             terms = chosen.terms.with_pre_sliding(tried)
             states = tried if tried.joint_names else None
     if states is not None:
-        notes = (*notes, _note_of(states, fitted=bool(judged.fit.lengths.any())))
+        notes = (*notes, _note_of(states, fitted=bool(judged.fit.presliding_distance.any())))
     return terms, states, notes
 
 
@@ -163,7 +164,7 @@ def _tried(
 ) -> tuple[PreSlidingFit | None, str | None]:
     """Pre-sliding, or why it could not be tried.
 
-    Its lengths are judged over all samples: masks leave out the slow ones, which say most of them.
+    It is judged over all samples: masks leave out the slow ones, which say most of it.
     """
     step(f"trying friction: {PRE_SLIDING}")
     everything = np.ones(np.shape(patterns.mask), bool)
@@ -252,7 +253,7 @@ def identify(
       joint by joint (`choose_friction`), and then tries a pre-sliding state of dry friction
       (`fit_pre_sliding`); `report.friction` says what each was worth, and `report.pre_sliding` is
       the fit with states, where a joint gains by them. Maximum likelihood is fitted with their
-      lengths, and compared with least squares with states. Settings are chosen once, for the
+      distances, and compared with least squares with states. Settings are chosen once, for the
       network as it is passed. Not with `previous`.
     - `options`: of `Preparation` and `LeastSquares`, set whatever the settings are, such as
       `{"torque_lag": 0.02, "loss": "huber"}`.
@@ -349,7 +350,7 @@ def _report(judged: Judged, chosen: ChosenFriction | None, data_check: DataCheck
     request, network = problem.request, judged.fit.network
     errors = {
         name: compare(
-            along_motion(network, patterns, fit.lengths),
+            along_motion(network, patterns, fit.presliding_distance),
             patterns,
             {"fit": fit.k, **judged.vectors},
         )
@@ -410,16 +411,22 @@ def _horizon(judged: Judged, states: PreSlidingFit | None) -> HorizonError:
     problem, fit = judged.problem, judged.fit
     problem.step("simulating")
     coefficients: dict[str, Any] = {"fit": fit.k}
-    lengths: dict[str, np.ndarray] = {}
-    if fit.lengths.any():
-        lengths["fit"] = fit.lengths
+    presliding_distance: dict[str, np.ndarray] = {}
+    if fit.presliding_distance.any():
+        presliding_distance["fit"] = fit.presliding_distance
     elif states is not None:
         coefficients[PRE_SLIDING] = states.fit.k
-        lengths[PRE_SLIDING] = states.lengths
+        presliding_distance[PRE_SLIDING] = states.presliding_distance
     coefficients |= file_coefficients(fit.network)
     request = problem.request
     recording = request.validation or request.training[request.longest]
-    return prediction_error(fit.network, coefficients, recording, problem.settings, lengths=lengths)
+    return prediction_error(
+        fit.network,
+        coefficients,
+        recording,
+        problem.settings,
+        presliding_distance=presliding_distance,
+    )
 
 
 @contextlib.contextmanager

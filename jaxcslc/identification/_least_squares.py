@@ -9,7 +9,7 @@ import numpy as np
 
 from .._processes import prepared_beside
 from ..bodies import JudgedPart, held_out_of_parts, judged_bodies, with_knowledge
-from ..friction import along_motion, checked_lengths, linearised
+from ..friction import along_motion, checked_distance, linearised
 from ..instruments import DirectDynamics, InstrumentalVariables
 from ..least_squares import Identification, computed_on_host
 from ..selection import PRE_SLIDING
@@ -124,15 +124,15 @@ class Regression(AbstractEstimator):
         )
 
 
-def with_states(judged: Judged, lengths: tuple[float, ...]) -> Judged:
-    """Add a fit of least squares whose dry friction yields over known lengths, if there are any.
+def with_states(judged: Judged, presliding_distance: tuple[float, ...]) -> Judged:
+    """Add a fit of least squares whose dry friction yields over known distances, if there are any.
 
-    **Raises** `ValueError` for lengths that are not n or of joints without dry friction.
+    **Raises** `ValueError` for distances that are not n or of joints without dry friction.
     """
-    if not any(lengths):
+    if not any(presliding_distance):
         return judged
     problem, network = judged.problem, judged.fit.network
-    values = checked_lengths(network, lengths)
+    values = checked_distance(network, presliding_distance)
     patterns = problem.patterns["training"]
     fit = problem.solver.fit(along_motion(network, patterns, values), patterns)
     return dataclasses.replace(judged, yielding=Fit(network, fit, values))

@@ -306,7 +306,9 @@ def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
     request = problem.request
     ours = _fit_of(problem, likelihood)
     unfitted = _unfitted(base, fits)
-    along = along_motion(ours.network, unfitted.patterns, ours.lengths, unfitted.contact)
+    along = along_motion(
+        ours.network, unfitted.patterns, ours.presliding_distance, unfitted.contact
+    )
     parts = JudgedPart.held_out(along, unfitted.patterns, unfitted.likelihood.fit, _STRETCHES)
     fit = likelihood.free
     if fit is None:
@@ -375,7 +377,7 @@ def _unfitted(base: Judged, fits: LikelihoodFits) -> _Unfitted:
     fitted: list[Patterns] = []
     unfitted: list[Patterns] = []
     contacts: list[np.ndarray] = []
-    lengths = _lengths(base)
+    presliding_distance = _presliding_distance(base)
     settings = problem.settings.with_options(torque_lag=0.0)
     for recording in problem.on_time.values():
         start, end, split = recording.time[0], recording.time[-1], held_out_from(recording)
@@ -384,7 +386,7 @@ def _unfitted(base: Judged, fits: LikelihoodFits) -> _Unfitted:
         fitted.append(patterns.between(float(start), split))
         unfitted.append(patterns.between(split, float(end)))
         first = int(np.searchsorted(np.asarray(patterns.time), unfitted[-1].time[0]))
-        contacts.append(state_at(patterns, lengths, first))
+        contacts.append(state_at(patterns, presliding_distance, first))
     shorter = fits.before
     if shorter is None:
         options = options_for(request.likelihood_options, problem.settings)
@@ -403,10 +405,14 @@ def _unfitted(base: Judged, fits: LikelihoodFits) -> _Unfitted:
 def _regression(base: Judged, patterns: Patterns) -> Fit:
     """Least squares of patterns, with the dry friction that maximum likelihood has; of possible
     bodies where the report has them."""
-    problem, network, lengths = base.problem, base.fit.network, _lengths(base)
-    fit = problem.solver.fit(along_motion(network, patterns, lengths), patterns)
+    problem, network, presliding_distance = (
+        base.problem,
+        base.fit.network,
+        _presliding_distance(base),
+    )
+    fit = problem.solver.fit(along_motion(network, patterns, presliding_distance), patterns)
     fit = with_knowledge(fit, problem.known)
-    result = Fit(network, fit, lengths)
+    result = Fit(network, fit, presliding_distance)
     bodies: PossibleFit | None = base.results["possible"]
     if bodies is None or not bodies.used:
         return result
@@ -414,9 +420,9 @@ def _regression(base: Judged, patterns: Patterns) -> Fit:
     return _with_k(result, _possible(problem.request, network, fit, weight))
 
 
-def _lengths(base: Judged) -> Float[np.ndarray, " joints"]:
+def _presliding_distance(base: Judged) -> Float[np.ndarray, " joints"]:
     """(n,) of pre-sliding, of both estimators."""
-    return (base.yielding or base.fit).lengths
+    return (base.yielding or base.fit).presliding_distance
 
 
 def _informed(request: Request, fit: Identification, network: CSLC) -> Identification:
@@ -515,7 +521,9 @@ def _comparison(
     """
     assert isinstance(ours.source, LikelihoodFit)
     mask = np.asarray(unfitted.patterns.mask)
-    least_squares = dataclasses.replace(unfitted.least_squares, lengths=ours.lengths)
+    least_squares = dataclasses.replace(
+        unfitted.least_squares, presliding_distance=ours.presliding_distance
+    )
     errors: dict[Estimator, np.ndarray] = {
         "least-squares": _error(unfitted, least_squares),
         "maximum-likelihood": error,
@@ -535,7 +543,7 @@ def _comparison(
 def _error(unfitted: _Unfitted, fit: Fit) -> Float[np.ndarray, "samples joints"]:
     """Torque errors of unfitted motion, friction at rest as reports have it."""
     patterns = unfitted.patterns
-    along = along_motion(fit.network, patterns, fit.lengths, unfitted.contact)
+    along = along_motion(fit.network, patterns, fit.presliding_distance, unfitted.contact)
     return np.asarray(patterns.torque) - predicted_torque(along, patterns, np.asarray(fit.k))
 
 

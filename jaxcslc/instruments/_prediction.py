@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._environment import array_namespace
 from .._text_table import text_table
-from ..friction import pre_sliding, state_after
+from ..friction import contact_states, state_after
 from ..least_squares import Settings
 from ..manipulator import Manipulator, RobotError
 from ..network import CSLC
@@ -137,7 +137,7 @@ def prediction_error(
     settings: Settings | None = None,
     *,
     horizons: Sequence[float] = HORIZONS,
-    lengths: Mapping[str, Float[np.ndarray, " joints"]] = MappingProxyType({}),
+    presliding_distance: Mapping[str, Float[np.ndarray, " joints"]] = MappingProxyType({}),
 ) -> HorizonError:
     """Simulates an arm open loop from states of a recording, and compares positions.
 
@@ -153,9 +153,9 @@ def prediction_error(
       held from sample to sample, or interpolated if the settings' alignment is `"sample"`.
     - `settings`: by which it is smoothed; the defaults of `Settings` if None.
     - `horizons`: times after the start [s]; those that the recording is too short for are left out.
-    - `lengths`: (n,) of pre-sliding [rad or m], by the name of coefficients whose dry friction has
-      them (`PreSlidingFit.lengths`). Its states start as the motion of the recording before the
-      start leaves them, from contacts without strain at its beginning.
+    - `presliding_distance`: (n,) [rad or m], by the name of coefficients whose contacts yield
+      before they slide (`PreSlidingFit.presliding_distance`). Their states start as the motion of the
+      recording before leaves them, from contacts without strain at its beginning.
 
     **Returns** a `HorizonError`.
 
@@ -200,9 +200,11 @@ def prediction_error(
     error: dict[str, np.ndarray] = {}
     distance: dict[str, np.ndarray] = {}
     for name, k in coefficients.items():
-        contact = lengths.get(name)
+        contact = presliding_distance.get(name)
         started = None if contact is None else _contacts(time, patterns.q, contact, first)
-        path = simulate(network, k, *states, torque, interval, lengths=contact, contact=started)
+        path = simulate(
+            network, k, *states, torque, interval, presliding_distance=contact, contact=started
+        )
         path = np.asarray(path)[rows]
         error[name] = _median(np.abs(path - truth[rows]), within)
         with contextlib.suppress(RobotError):  # lengths without values
@@ -253,12 +255,12 @@ def _origins(
 def _contacts(
     time: Float[np.ndarray, " samples"],
     q: Float[Array | np.ndarray, "samples joints"],
-    lengths: Float[np.ndarray, " joints"],
+    presliding_distance: Float[np.ndarray, " joints"],
     instants: Float[np.ndarray, " starts"],
 ) -> Float[np.ndarray, "starts joints"]:
     """States of contacts at instants of a motion, positions between samples by a straight line."""
-    length = np.where(lengths > 0.0, lengths, 1.0)
-    state = np.asarray(pre_sliding(q, length, np.zeros(len(length))))
+    length = np.where(presliding_distance > 0.0, presliding_distance, 1.0)
+    state = np.asarray(contact_states(q, length, np.zeros(len(length))))
     before = np.clip(np.searchsorted(time, instants, side="right") - 1, 0, len(time) - 1)
     change = interpolated(time, q, instants[None])[0] - np.asarray(q)[before]
     return np.asarray(state_after(state[before], change, length[None]))

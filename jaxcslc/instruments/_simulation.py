@@ -210,7 +210,7 @@ def simulate(
     torque: Float[Array | np.ndarray, "intervals starts joints"],
     interval: float,
     *,
-    lengths: Float[Array | np.ndarray, " joints"] | None = None,
+    presliding_distance: Float[Array | np.ndarray, " joints"] | None = None,
     contact: Float[Array | np.ndarray, "starts joints"] | None = None,
 ) -> Float[Array, "instants starts joints"]:
     """Motion under torques that are held for an interval each, without feedback.
@@ -226,9 +226,9 @@ def simulate(
     - `q`, `qd`: positions and velocities to start from, (starts, n) [rad, rad/s or m, m/s].
     - `torque`: (intervals, starts, n) [N m or N].
     - `interval`: its length [s].
-    - `lengths`: (n,) of pre-sliding [rad or m], 0 where dry friction follows the sign of velocity;
+    - `presliding_distance`: (n,) [rad or m], 0 where dry friction follows the sign of velocity;
       None if it does everywhere.
-    - `contact`: (starts, n) states of contacts to start from (`pre_sliding`); zeros if None.
+    - `contact`: (starts, n) states of contacts to start from (`contact_states`); zeros if None.
 
     **Returns** positions at the beginning of each interval and at the end, (intervals + 1, starts,
     n). They are not finite where the model's mass matrix is that of no body.
@@ -242,7 +242,7 @@ def simulate(
     >>> np.round(path[-1, :, 0], 4).tolist()  # (1.5 - 0.5) / 2.0 / 2
     [0.25, 0.0]
     """
-    advance = held_step(network, jnp.asarray(k), interval, lengths)
+    advance = held_step(network, jnp.asarray(k), interval, presliding_distance)
 
     def through(state: State, force: Array) -> tuple[State, Array]:
         after = advance(state, force)
@@ -257,14 +257,14 @@ def held_step(
     network: CSLC,
     k: Array,
     interval: float,
-    lengths: Float[Array | np.ndarray, " joints"] | None = None,
+    presliding_distance: Float[Array | np.ndarray, " joints"] | None = None,
 ) -> Advance:
     """The motion of one interval of `simulate`: from the state at its beginning and the torque that
     is held, (starts, n) each, to the state at its end.
 
-    States of contacts change only where `lengths` says that friction has them. Along each half of a
-    step they follow the path exactly. A contact is a spring of friction / length, as stiff as 1e5
-    N m/rad on real arms, which the explicit rule would let vibrate ever more: so friction at the
+    States of contacts change only where `presliding_distance` says that friction has them. Along
+    each half of a step they follow the path exactly. A contact is a spring of friction / distance,
+    as stiff as 1e5 N m/rad on real arms, which the explicit rule would let vibrate ever more: so friction at the
     middle of a step is that of the implicit rule, to first order in the step's acceleration.
     """
     if network.load_terms:
@@ -272,7 +272,9 @@ def held_step(
     steps = max(1, int(np.ceil(interval / _LONGEST_STEP - 1e-9)))
     h = interval / steps
     others, dry, length = (
-        (k, None, None) if lengths is None else split_friction(network, k, lengths)
+        (k, None, None)
+        if presliding_distance is None
+        else split_friction(network, k, presliding_distance)
     )
 
     def contact_after(w: Array, change: Array) -> Array:

@@ -130,7 +130,7 @@ class FrictionChoice:
         return [trial.document() for trial in self.trials]
 
     def with_pre_sliding(self, fit: PreSlidingFit) -> "FrictionChoice":
-        """Add the lengths of pre-sliding of every joint with dry friction to the trials."""
+        """Add the distances of pre-sliding of every joint with dry friction to the trials."""
         units = self.network.output_units
         nothing = RelativeError(0.0, np.inf, 0)
         trials = (
@@ -138,9 +138,9 @@ class FrictionChoice:
                 joint,
                 PRE_SLIDING,
                 fit.relative.get(joint, nothing),
-                used=bool(fit.lengths[joint - 1] > 0.0),
+                used=bool(fit.presliding_distance[joint - 1] > 0.0),
                 possible=joint in fit.relative,
-                length=float(fit.tried_lengths[joint - 1]),
+                length=float(fit.tried_distance[joint - 1]),
                 length_unit="m" if units[joint - 1] == "N" else "rad",
             )
             for joint, kinds in enumerate(self.network.friction_per_joint, start=1)
