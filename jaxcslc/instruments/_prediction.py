@@ -154,8 +154,8 @@ def prediction_error(
     - `settings`: by which it is smoothed; the defaults of `Settings` if None.
     - `horizons`: times after the start [s]; those that the recording is too short for are left out.
     - `presliding_distance`: (n,) [rad or m], by the name of coefficients whose contacts yield
-      before they slide (`PreSlidingFit.presliding_distance`). Their states start as the motion of the
-      recording before leaves them, from contacts without strain at its beginning.
+      before they slide (`PreSlidingFit.presliding_distance`). Their states start as the
+      motion of the recording before leaves them, from contacts without strain at its beginning.
 
     **Returns** a `HorizonError`.
 

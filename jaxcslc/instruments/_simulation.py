@@ -264,8 +264,9 @@ def held_step(
 
     States of contacts change only where `presliding_distance` says that friction has them. Along
     each half of a step they follow the path exactly. A contact is a spring of friction / distance,
-    as stiff as 1e5 N m/rad on real arms, which the explicit rule would let vibrate ever more: so friction at the
-    middle of a step is that of the implicit rule, to first order in the step's acceleration.
+    as stiff as 1e5 N m/rad on real arms, which the explicit rule would let vibrate ever more: so
+    friction at the middle of a step is that of the implicit rule, to first order in the step's
+    acceleration.
     """
     if network.load_terms:
         raise ValueError("simulation: knows no friction of kind 'load'; remove it")
