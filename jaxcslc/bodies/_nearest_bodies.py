@@ -120,14 +120,7 @@ def semidefinite_least_squares(
     Where no inequality is active, the optimum is that of a least-squares problem: that is tried
     first, for it is exact where a conic solver is good to some eight digits.
 
-    **Returns**
-
-    - The optimum, or None if the solver fails.
-    - Whether the solver says that it is one.
-
-    **Raises**
-
-    - `ImportError`: an inequality is active, and no conic solver is installed.
+    **Returns** the optimum, None if the solver fails, and whether the solver says that it is one.
     """
     from scipy.linalg import solve_triangular
 

@@ -258,21 +258,9 @@ def distances_from(
     parameters: PhysicalParameters,
     patterns: Patterns,
 ) -> PhysicalParameters:
-    """Parameters with their distances from another fit than they were computed from.
+    """Return parameters with their distances from another fit than they were computed from.
 
-    **Arguments**
-
-    - `fit`: to measure from, (p,) coefficients with their covariance.
-    - `network`: n joints, p coefficients, those of the fit and of the parameters.
-    - `parameters`: as another estimator has fitted them.
     - `patterns`: motion (samples, n) that `torque_distance` is measured over.
-
-    **Returns** the parameters with `distance` [standard errors of the fit] and `torque_distance`
-    (n,) [N m or N] from this fit.
-
-    **Raises**
-
-    - `ValueError`: for a fit of another number of coefficients, or one that is not finite.
     """
     problem = NearestBodies.from_fit(
         network, fit, fixed=fixed_bodies(network.robot), weight=parameters.prior_weight

@@ -346,24 +346,11 @@ def possible_fit(
     their errors is below zero by more than the spread over parts explains (Student's t, one-sided,
     20 %), and by 1 % at least.
 
-    **Arguments**
-
-    - `network`: n joints, p coefficients.
-    - `fit`: of `training`.
-    - `parts`: two or more, of which `training` consists.
-    - `source`: what the parts are.
-    - `systematic`: of the fit, asked for at the end: added to the standard errors that movements
-      are counted in.
-    - `always`: use the bodies, whatever their errors.
-    - `knowledge`: what is known of single parameters of links.
+    - `parts`: two or more, of which `training` consists; `source`: what they are.
+    - `systematic`: of the fit, asked for at the end, for the errors that movements are counted in.
     - `parameters`: bodies that an estimator has fitted itself; those nearest to the fit if None.
-    - `step`: is called with a few words at the start of each step.
 
-    **Returns** a `PossibleFit`.
-
-    **Raises**
-
-    - `ValueError`, `RuntimeError`, `ImportError`: as `physical_parameters`.
+    **Raises** as `physical_parameters`.
     """
     step("fitting possible bodies")
     fixed = fixed_bodies(network.robot)
@@ -416,19 +403,12 @@ def judged_bodies(
     parameters: PhysicalParameters | None = None,
     step: Callable[[str], None] = lambda _: None,
 ) -> tuple[PossibleFit | None, HeldOut | None, tuple[str, ...]]:
-    """Possible bodies as `identify` has them.
+    """Return possible bodies, held-out errors of the coefficients to use, and warnings.
 
-    - `fit`: with what is known of coefficients.
-    - `parts`: as of `possible_fit`, whose fits do not know it yet.
-    - the others: as of `identify` and `possible_fit`.
+    Bodies are None if they were not asked for or, with `"auto"`, could not be computed; errors are
+    None if nothing made parts necessary. `parts` do not know yet what `prior` says.
 
-    **Returns**
-
-    - Them, None if they were not asked for or, with `"auto"`, could not be computed.
-    - The held-out errors of the coefficients to use; None if nothing made parts necessary.
-    - Warnings.
-
-    **Raises** as `possible_fit`, but for `"auto"`.
+    **Raises** as `possible_fit`, except for `"auto"`.
     """
     prior = prior or Prior()
     known = prior.coefficient_values(network)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..manipulator import LinkInertia
-from ._body import body_of_pseudo_inertia, central_tensor, principal_body, pseudo_inertia
+from ._body import body_of_pseudo_inertia, central_tensor, pseudo_inertia
 
 
 _TOLERANCE = 1e-10
@@ -25,9 +25,9 @@ _LOWER = [(a, b) for a in range(4) for b in range(a + 1)]
 class BodyChart:
     """Coordinates of a body, each of order one, that are possible wherever their bounds hold.
 
-    A link with principal axes: mass, coordinates of the centre, and spread of mass along each
-    axis, equal spreads as one. A full tensor: a triangle M with J̃ = M Mᵀ + least, in units of
-    the prior's pseudo-inertia.
+    A link with principal axes (`_Charts` evaluates it): mass, coordinates of the centre, and spread
+    of mass along each axis, equal spreads as one. A full tensor: a triangle M with J̃ = M Mᵀ +
+    least, in units of the prior's pseudo-inertia.
 
     **Attributes**
 
@@ -68,31 +68,19 @@ class BodyChart:
         return cls(prior, scale, start, low, least, centre, spreads)
 
     def body(self, z: Float[np.ndarray, " coordinates"]) -> Float[np.ndarray, "10"]:
-        """Ten numbers of the body with coordinates z."""
-        if not self.spreads:
-            lower = self._lower(z)
-            return self._from_unit(lower @ lower.T + self.least * np.eye(4))
-        mass, centre, spread = self._principal(z)
-        return principal_body(mass, centre, spread)
+        """Ten numbers of the body with a full tensor that has coordinates z."""
+        lower = self._lower(z)
+        return self._from_unit(lower @ lower.T + self.least * np.eye(4))
 
     def jacobian(self, z: Float[np.ndarray, " coordinates"]) -> Float[np.ndarray, "10 coordinates"]:
-        """Derivatives of the ten numbers by the coordinates."""
+        """Derivatives of a full tensor's ten numbers by the coordinates."""
+        lower = self._lower(z)
         columns: list[np.ndarray] = []
-        if not self.spreads:
-            lower = self._lower(z)
-            for a, b in _LOWER:
-                change = np.zeros((4, 4))
-                change[a] = lower[:, b]
-                columns.append(self._from_unit(change + change.T))
-            return np.stack(columns, axis=1)
-        mass, centre, _ = self._principal(z)
-        full, radius = np.append(centre, 1.0), self.radius
-        columns.append(self.prior[9] * body_of_pseudo_inertia(np.outer(full, full)))
-        for axis in self.centre:
+        for a, b in _LOWER:
             change = np.zeros((4, 4))
-            change[axis] = mass * radius * full
-            columns.append(body_of_pseudo_inertia(change + change.T))
-        return np.stack([*columns, *self.by_spread], axis=1)
+            change[a] = lower[:, b]
+            columns.append(self._from_unit(change + change.T))
+        return np.stack(columns, axis=1)
 
     @cached_property
     def by_spread(self) -> list[Float[np.ndarray, "10"]]:
@@ -103,15 +91,6 @@ class BodyChart:
             change[list(axes), list(axes)] = np.mean(self._prior_spread[list(axes)])
             columns.append(body_of_pseudo_inertia(change))
         return columns
-
-    def _principal(
-        self, z: Float[np.ndarray, " coordinates"]
-    ) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        centre, spread = self.prior[6:9] / self.prior[9], self._prior_spread.copy()
-        centre[list(self.centre)] += self.radius * z[1 : 1 + len(self.centre)]
-        for value, axes in zip(z[1 + len(self.centre) :], self.spreads, strict=True):
-            spread[list(axes)] = value * np.mean(spread[list(axes)])
-        return float(z[0] * self.prior[9]), centre, spread
 
     @cached_property
     def _prior_spread(self) -> Float[np.ndarray, "3"]:
@@ -222,11 +201,7 @@ def nearest_in_charts(
 
     Minimises |of_bodies · bodies + of_others · y - target|² + |weights (z - start)|². z are the
     bodies' coordinates and y; y ≥ 0 where `bounded`. The problem is not convex; the search starts
-    at the prior.
-
-    **Returns**
-
-    - Bodies, y, and whether the search converged.
+    at the prior. **Returns** bodies, y, and whether the search converged.
     """
     start = np.concatenate(
         [
@@ -267,14 +242,7 @@ _GROWTH, _DECAY = 2.0, 5.0
 
 
 class BoundedMinimum(NamedTuple):
-    """Minimum of a sum of squares within bounds.
-
-    **Attributes**
-
-    - `x`: unknowns, none below its bound.
-    - `value`: sum of squares there.
-    - `converged`: whether the search ended by its tolerance.
-    """
+    """Minimum of a sum of squares within bounds, its value, and whether the search converged."""
 
     x: Vector
     value: float
@@ -293,28 +261,13 @@ def bounded_least_squares(
     """Minimise |residual(x)|² within x ≥ low: Levenberg and Marquardt's method with an active set.
 
     Unknowns at their bound whose gradient points outwards stay there; others that a step would
-    carry beyond theirs stop at it, and the step is computed anew for those that remain. What
-    `scipy.optimize.least_squares` finds from within the bounds, whose import takes as long as five
-    searches, and each of whose steps takes a singular value decomposition. (Marquardt 1963.)
-
-    **Arguments**
+    carry beyond theirs stop at it, and the step is computed anew for those that remain. (Marquardt
+    1963.)
 
     - `jacobian`: of full rank; unknowns are of order one.
-    - `low`: lower bounds, -inf without one.
     - `tolerance`: the search ends where a step promises less than this part of the value, or moves
       the unknowns by less than this part of their length.
     - `evaluations`: of the residual, at most.
-
-    **Returns** the minimum.
-
-    >>> import numpy as np
-    >>> a, b = np.array([[1.0, 0.5], [0.0, 1.0]]), np.array([1.0, -1.0])
-    >>> minimum = bounded_least_squares(
-    ...     lambda x: a @ x - b, lambda x: a, np.ones(2), np.zeros(2),
-    ...     tolerance=1e-10, evaluations=100,
-    ... )
-    >>> minimum.x.round(9).tolist(), minimum.converged
-    ([1.0, 0.0], True)
     """
     x = np.maximum(start, low)
     errors = residual(x)

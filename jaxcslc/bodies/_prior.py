@@ -303,16 +303,9 @@ def load_prior(path: str | Path) -> Prior:
 
 
 def prior_from(document: Mapping[str, Any], where: str) -> Prior:
-    """Return what is known before, from tables as `Prior.document` returns them.
+    """Return what is known before, from tables as `Prior.document` returns them, read at `where`.
 
-    **Arguments**
-
-    - `document`: with entries `coefficients` and `links`, either of which may be missing.
-    - `where`: they were read, for messages.
-
-    **Raises**
-
-    - `ValueError`: they hold something else; the message names the entry.
+    **Raises** `ValueError`: they hold something else; the message names the entry.
     """
     if unknown := sorted(document.keys() - {"coefficients", "links"}):
         raise ValueError(f"{where}: unknown entry {unknown[0]!r}; expected coefficients or links")
@@ -455,12 +448,9 @@ def with_knowledge(
 def information_rows(
     fit: Identification | FoldFit, k: Float[np.ndarray, " coefficients"]
 ) -> Float[np.ndarray, "rank coefficients"]:
-    """Rows whose product with a change of the coefficients is that of the fit's equations, up to a
-    rotation, in units of the residual.
+    """Return rows whose product with a change of coefficients `k` is that of the fit's equations.
 
-    **Arguments**
-
-    - `fit`: an `Identification` or a fit without a fold; `k`: (p,) its coefficients.
+    Up to a rotation, in units of the residual.
 
     A change is one within the covariance's range and one that the fit leaves open. The former
     counts by the inverse of the covariance, the latter not at all. Neither rank is guessed.

@@ -106,18 +106,10 @@ def checked_distance(network: CSLC, presliding_distance: Any) -> Float[np.ndarra
 def split_friction(
     network: CSLC, k: Array, presliding_distance: Float[Array | np.ndarray, " joints"]
 ) -> tuple[Array, Float[Array, " joints"], Float[Array, " joints"]]:
-    """Coefficients without the dry friction of joints with a length, and that friction.
+    """Split off the dry friction of joints whose contacts yield before they slide.
 
-    **Arguments**
-
-    - `network`: n joints, some with dry friction; `k`: (p,) its coefficients.
-    - `presliding_distance`: (n,) [rad or m]; 0 where friction follows the sign of velocity.
-
-    **Returns**
-
-    - (p,) coefficients, 0 for dry friction that has a state.
-    - (n,) what the state of each joint is multiplied by [N m or N]; 0 where friction has none.
-    - (n,) distances to divide by, 1 where there is none.
+    **Returns** coefficients without it (p,), the friction that each joint's state is multiplied by
+    (n,) [N m or N], 0 of joints without a state, and distances to divide by (n,), 1 of such joints.
     """
     dry = dry_term(network)
     part, joints = network.layout.of(dry), np.array(dry.joints)
@@ -215,16 +207,11 @@ def along_motion(
     presliding_distance: Float[np.ndarray, " joints"],
     start: Float[np.ndarray, " joints"] | None = None,
 ) -> CSLC:
-    """The network for the motion of patterns: its dry friction has states where it has distances.
+    """The network for the motion of patterns: contacts have states where they have a distance.
 
     A state forgets its start within a few such distances, and so that joints seem to move from one
     recording to the next where patterns of several are joined.
 
-    **Arguments**
-
-    - `network`: n joints, some with dry friction.
-    - `patterns`: whose positions states are along.
-    - `presliding_distance`: (n,) [rad or m]; the network itself is returned if all are 0.
     - `start`: (n,) states at the first sample; zeros if None.
     """
     if not np.any(presliding_distance):
@@ -256,17 +243,7 @@ def with_state(
     presliding_distance: Float[np.ndarray, " joints"],
     start: Float[Array | np.ndarray, " joints"] | None = None,
 ) -> tuple[CSLC, Float[Array, "samples joints"]]:
-    """The network whose dry friction has its state along a motion, and the state.
-
-    **Arguments**
-
-    - `network`: n joints, some with dry friction.
-    - `q`: positions along the motion, (samples, n) [rad or m].
-    - `presliding_distance`: (n,) [rad or m]; 0 where friction follows the sign of velocity.
-    - `start`: (n,) the state at the first sample; zeros if None.
-
-    **Returns** the network, for this motion in one piece, and the state (samples, n).
-    """
+    """Return the network whose dry friction has its state along positions, and that state."""
     slides = presliding_distance <= 0.0
     first = np.zeros(len(presliding_distance)) if start is None else start
     state = contact_states(q, np.where(slides, 1.0, presliding_distance), first)

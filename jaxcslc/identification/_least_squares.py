@@ -205,17 +205,8 @@ def _combined(
 class SimulatedMotion(AbstractEstimator):
     """Instruments from simulated motion, or torques alone with `DirectDynamics`.
 
-    Of one recording, without possible bodies and systematic errors.
-
-    - `method`: by settings of the problem, whatever its own.
-
-    >>> import jaxcslc as jc
-    >>> network = jc.derive(jc.examples.turntable("viscous"))
-    >>> recording = jc.examples.swing_recording(network, [0.5, 0.2])
-    >>> estimator = SimulatedMotion(jc.InstrumentalVariables(iterations=5))
-    >>> report = jc.identify(network, recording, settings=jc.Settings(), estimator=estimator)
-    >>> report.k.round(3).tolist()
-    [0.5, 0.2]
+    Of one recording, without possible bodies and systematic errors. `method` has the settings of
+    the problem.
     """
 
     method: InstrumentalVariables | DirectDynamics = dataclasses.field(

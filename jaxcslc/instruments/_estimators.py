@@ -60,18 +60,10 @@ def projected_fit(
 
         Zᵀ W² (torque - X k) = 0.
 
-    The first stage replaces the regressor X by its projection on the instruments Z. The second is
-    an ordinary fit by `LeastSquares`. Repeated for the projection's torque plus the residual of X,
-    it has the same minimum, and the residuals, on which weights and standard errors rest, of X
-    (Davidson and MacKinnon 2004, Sections 8.3 and 8.5).
-
-    **Arguments**
-
-    - `equations`: of measured motion; `instruments`: rows of simulated motion, one for each.
-    - `solver`: its weights of joints, errors and rank rule.
-    - `samples`: of the recording.
-
-    **Raises** as `LeastSquares.fit_equations`.
+    The first stage replaces the regressor X by its projection on the instruments Z, rows of
+    simulated motion. The second is an ordinary fit by `LeastSquares`. Repeated for the projection's
+    torque plus the residual of X, it has the same minimum, and the residuals, on which weights and
+    standard errors rest, of X (Davidson and MacKinnon 2004, Sections 8.3 and 8.5).
     """
     n, p = len(equations.rows), equations.unknowns.size
     # The projection mixes columns: each joint's rows have those of all coefficients.

@@ -74,14 +74,8 @@ class Friction(eqx.Module):
         1994): joints against whose state the accelerations speak change it, all at once; if that
         does not end, the first one alone, which does end (Murty 1974).
 
-        **Arguments**
-
-        - `mass`: (starts, n, n) mass matrices.
-        - `drive`: (starts, n) torque less what motion and gravity need and less friction of joints
-          that do not rest [N m or N].
-        - `resting`: (starts, n) joints of velocity 0 that can stick.
-
-        **Returns** (starts, n), 0 for joints that do not rest.
+        - `drive`: torque less what motion and gravity need and less friction of joints that move.
+        - `resting`: joints of velocity 0 that can stick.
         """
         joints = drive.shape[1]
         # Directions are discrete, so nothing is differentiated here.
@@ -143,21 +137,14 @@ def through_stops(
     qd: Float[Array, "starts joints"],
     duration: float,
 ) -> tuple[Float[Array, "starts joints"], Float[Array, "starts joints"]]:
-    """Motion through a step in which joints come to rest, stick, and move on.
+    """Return how far joints move in a step in which they come to rest, stick and move on, and their
+    velocities at its end.
 
     Between such moments accelerations are constant. Where a joint stops, all joints at rest stick
     or leave by a new balance.
 
-    **Arguments**
-
-    - `mass`, `drive`: (starts, n, n) and (starts, n), for the whole step: mass matrices, and torque
-      less what motion and gravity need [N m or N].
-    - `resisting`: (starts, n) friction of joints that go on as they do [N m or N].
-    - `friction`: of joints that stop; `direction`: (starts, n) of joints that leave rest, 0 for
-      those that stick.
-    - `qd`: (starts, n) velocities at the beginning [rad/s or m/s]; `duration`: of the step [s].
-
-    **Returns** by how much joints move, and velocities at the end.
+    - `drive`: torque less what motion and gravity need; `resisting`: friction of joints that go on.
+    - `friction`: of joints that stop; `direction`: of those that leave rest, 0 for others.
     """
     holds = friction.holds
 
@@ -591,12 +578,9 @@ def simulated_derivatives(
     recording: Recording,
     settings: Settings,
 ) -> Derivatives:
-    """Simulated motion that follows that of a recording.
+    """Return simulated motion that follows that of a recording.
 
-    **Raises**
-
-    - `ValueError`: as `AbstractSimulatedMotion.simulate`.
-    - `RuntimeError`: motion that has left the recorded one behind.
+    **Raises** `RuntimeError`: motion that has left the recorded one behind.
     """
     q, qd, qdd = motion.simulate(network, k, recording, settings)
     span = np.ptp(recording.position, axis=0)

@@ -63,12 +63,8 @@ class SearchAxis:
 class CoordinateSearch:
     """Looks for the settings of the least score, one axis after the other.
 
-    Scores are computed once for each settings. Deterministic.
-
-    **Attributes**
-
     - `scored`: computes the scores of several settings; the least wins.
-    - `scores`: all that were computed.
+    - `scores`: all that were computed, each once.
     """
 
     scored: Callable[[Sequence[Settings]], Sequence[float]]
@@ -77,21 +73,11 @@ class CoordinateSearch:
     def run(
         self, start: Settings, families: Sequence[SearchAxis], options: Sequence[SearchAxis]
     ) -> Settings:
-        """The best settings.
+        """Return the settings of the least score within their family of smoothings.
 
         The family of smoothings that `start` belongs to is searched together with all options,
         round after round until nothing improves. Then each other family is climbed along with
         the options as they are; if one lowers the score by a fifth, the rounds go on with it.
-
-        **Arguments**
-
-        - `start`: on the axis of one of the families and on all axes of options.
-        - `families`: axes of one option, of which settings are on one.
-        - `options`: axes of options of their own.
-
-        **Returns**
-
-        The settings of the least score within their family of smoothings.
         """
         best = start
         # Where each family did best, to climb on from there.

@@ -67,18 +67,12 @@ class Scoring:
         folds: int,
         gap: float | None,
     ) -> "Scoring":
-        """The scoring of trials on a recording.
+        """Return the scoring of trials on a recording.
 
-        **Arguments**
+        - `mask`: pairs that count under the strictest candidate, of samples that all are fitted to.
+        - `cutoffs`: candidates for the parallel filter [Hz]; the others: as of `choose_settings`.
 
-        - `mask`: pairs that count under the strictest candidate, of the samples that all
-          candidates are fitted to.
-        - `cutoffs`: candidates for the parallel filter [Hz].
-        - `folds`, `gap`: as of `choose_settings`.
-
-        **Raises**
-
-        - `ValueError`: too many folds or fewer than two, or a gap that leaves nothing to judge.
+        **Raises** `ValueError`: too many folds, or a gap that leaves nothing to judge.
         """
         samples = len(mask)
         most = samples // (2 * _FEWEST)
@@ -121,17 +115,9 @@ class Scoring:
     def judged_errors(
         self, error: Float[np.ndarray, "samples joints"]
     ) -> tuple[Float[np.ndarray, " joints"], float]:
-        """Root mean squares of joints, and the score.
+        """Return RMS errors of joints, NaN where nothing is judged, and the score [N m or N].
 
-        **Arguments**
-
-        - `error`: torque error of all samples, each under coefficients fitted without its
-          stretch [N m or N].
-
-        **Returns**
-
-        The error of each joint, NaN where nothing is judged, and the geometric mean of the
-        errors of all stretches and joints, as they are and low-passed [N m or N].
+        - `error`: of all samples, each under coefficients fitted without its stretch.
         """
         whole, cells = self._root_mean_squares(error)
         score = float(np.mean(np.log(cells)))
@@ -183,18 +169,11 @@ def settled_alignment(
     estimate: Callable[[], TorqueLag],
     interval: float,
 ) -> Settings:
-    """Settings with the torque alignment that the recording shows, or else the convention.
+    """Return settings with the torque alignment that the recording shows, or else the convention.
 
-    **Arguments**
-
-    - `settings`: the best by their score.
-    - `alignments`: to choose among, the convention first.
-    - `score`: of settings; the least wins.
+    - `alignments`: to choose among, the convention first; `score`: of settings, the least wins.
     - `estimate`: computes the lag of the torque; called if scores do not decide. If it raises
-      `ValueError`, the recording is too short to show anything.
-    - `interval`: between samples [s].
-
-    **Returns** the settings, with one of the alignments.
+      `ValueError`, the recording is too short to show anything. `interval`: between samples [s].
     """
     if len(alignments) == 1:
         return settings

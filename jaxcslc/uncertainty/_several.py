@@ -185,12 +185,7 @@ class RecordingAgreement:
 
 
 def agreement_text(differing: Mapping[str, Sequence[str]]) -> str:
-    """Return whether recordings agree, in words.
-
-    **Arguments**
-
-    - `differing`: by recording, the coefficients in which it differs beyond chance.
-    """
+    """Return whether recordings agree, in words, from the coefficients that differ by recording."""
     if not any(differing.values()):
         return f"the {len(differing)} recordings agree in all coefficients"
     return "\n".join(
@@ -240,13 +235,6 @@ def combined_systematic(
 
     The common fit is about the mean of the others, weighted by their precision. Causes are taken to
     act alike in all recordings, so that their errors add, and do not average out.
-
-    **Arguments**
-
-    - `fits`: of each recording by itself.
-    - `errors`: of these fits.
-
-    **Returns** the error; 0 of coefficients that no recording determines.
     """
     weights = {name: _precision(fits[name]) for name in errors}
     total = np.sum(list(weights.values()), axis=0)
@@ -342,18 +330,7 @@ class SeveralFit:
 
 
 def several_text(document: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return what a report says of several recordings.
-
-    **Arguments**
-
-    - `document`: a `SeveralFit.document`.
-
-    >>> entry = {"samples": 800, "noise": [0.1], "offsets": [0.0], "differing": []}
-    >>> print(several_text({"morning": entry, "evening": entry}))
-    the 2 recordings agree in all coefficients
-    morning: 800 samples, RMS residual of each joint 0.1
-    evening: 800 samples, RMS residual of each joint 0.1
-    """
+    """Return what a report says of several recordings, from `SeveralFit.document`."""
     lines = [agreement_text({name: entry["differing"] for name, entry in document.items()})]
     for name, entry in document.items():
         noise = ", ".join(f"{size:.3g}" for size in entry["noise"])

@@ -57,23 +57,10 @@ def missing_terms(
     - `"motor saturation"`: torque beyond a half and beyond three quarters of a joint's greatest,
       as of motors that then give less than is demanded (7.2.3).
 
-    **Arguments**
+    `torque` is predicted by the network: measured noise would be on both sides of the equations.
 
-    - `network`: n joints. Joints that have a term of the kind are left out.
-    - `qd`: velocities.
-    - `torque`: that the network predicts. (With the measured torque, its noise would be on both
-      sides of the equations.)
-    - `mask`: pairs of joint and sample that are fitted.
-    - `thresholds`: of the friction masks, (n,) [rad/s or m/s].
-
-    **Returns** by name, the inputs of the term at each joint: (samples, number of inputs).
-
-    >>> import numpy as np, jaxcslc as jc
-    >>> network = jc.derive(jc.puma560())
-    >>> motion, pairs = np.ones((4, 6)), np.ones((4, 6), bool)
-    >>> terms = missing_terms(network, motion, motion, pairs, 0.1 * np.ones(6))
-    >>> {name: columns[0].shape[1] for name, columns in terms.items()}
-    {'torque offset': 1, 'static friction': 1, 'motor saturation': 2}
+    **Returns** by name, the inputs of the term at each joint: (samples, number of inputs); none of
+    joints that have a term of the kind.
     """
     top = np.max(np.abs(np.where(mask, qd, 0.0)), axis=0)
     decay = np.maximum(thresholds, _LEAST_DECAY * top)
@@ -399,10 +386,8 @@ def _exact_derivatives(
 ) -> tuple[Float[np.ndarray, "samples joints"], Float[np.ndarray, "samples joints"]]:
     """Velocities and accelerations of the cubic splines through smoothed positions.
 
-    Those of a smoothing are not always the derivatives of its positions: a Savitzky-Golay filter
-    that leaves a sinusoid's positions alone takes some of its acceleration.
-
-    - `keep_velocity`: the velocities themselves were measured; accelerations are theirs.
+    Those of a smoothing are not always the derivatives of its positions. With `keep_velocity`,
+    velocities were measured, and accelerations are theirs.
     """
     from scipy.interpolate import CubicSpline  # 0.09 s of processor time
 
