@@ -27,12 +27,7 @@ from ._body import (
     pseudo_inertia,
 )
 from ._principal_programme import BodyChart, nearest_in_charts
-from ._prior import LinearKnowledge, LinkKnowledge, body_form, linear_knowledge
-
-
-# Noise-free coefficients have a covariance of rounding. Standard errors are taken as no less than
-# this part of the coefficient that an average body would cause: finer is beyond the solver.
-_FINEST = 1e-6
+from ._prior import FINEST, LinearKnowledge, LinkKnowledge, body_form, linear_knowledge
 
 
 @runtime_checkable
@@ -77,13 +72,13 @@ def whitening(
     free = np.asarray(fit.undetermined, float)
     if not np.all(np.isfinite(covariance)) or not np.all(np.isfinite(np.asarray(fit.k))):
         raise ValueError("the fit's coefficients or covariance are not finite")
-    units = np.sqrt(np.maximum(np.diag(covariance), 0.0)) + _FINEST * sizes
+    units = np.sqrt(np.maximum(np.diag(covariance), 0.0)) + FINEST * sizes
     free = free[np.linalg.norm(free, axis=1) > 0] / units
     if free.size:
         free = free / np.linalg.norm(free, axis=1, keepdims=True)
         free = np.linalg.svd(free, full_matrices=False)[2][: numerical_rank(free.T)]
     scaled = covariance / np.outer(units, units)
-    scaled = (scaled + scaled.T) / 2 + np.diag((_FINEST * sizes / units) ** 2)
+    scaled = (scaled + scaled.T) / 2 + np.diag((FINEST * sizes / units) ** 2)
     # Numbers that changes along undetermined combinations leave as they are. The covariance's range
     # would do as well, but beside a variance of infinity it cannot be told from rounding.
     numbers = np.eye(len(units))
@@ -333,7 +328,7 @@ _FILL = 0.02
 
 
 @dataclass(frozen=True)
-class PrincipalPrior:
+class PriorBodies:
     """Bodies and motor inertias to keep to where the data say nothing.
 
     **Attributes**
@@ -376,7 +371,7 @@ def prior_of(
     links: Sequence[LinkParameters],
     filler: Sequence[LinkParameters],
     fixed: Float[np.ndarray, "links 10"],
-) -> PrincipalPrior:
+) -> PriorBodies:
     """Links without what is fixed to them, made bodies where they are none.
 
     **Arguments**
@@ -398,7 +393,7 @@ def prior_of(
     # A light link's motor may be heavy: it is of the machine's size, as the lenders are.
     largest = np.maximum(possible, lenders)
     link_scales = np.where([kind == "R" for kind in robot.kinds], largest[:, 2], largest[:, 9])
-    return PrincipalPrior(possible, motors, np.where(motors > 0, motors, link_scales))
+    return PriorBodies(possible, motors, np.where(motors > 0, motors, link_scales))
 
 
 def _possible(
@@ -491,7 +486,7 @@ class NearestBodies:
     k: Float[np.ndarray, " coefficients"]
     whitening: Float[np.ndarray, "rank coefficients"]
     fixed: Float[np.ndarray, "links 10"]
-    prior: PrincipalPrior
+    prior: PriorBodies
     of_bodies: Float[np.ndarray, "coefficients links 10"]
     of_others: Float[np.ndarray, "coefficients others"]
     others: Float[np.ndarray, " others"]

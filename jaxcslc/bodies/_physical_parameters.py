@@ -37,7 +37,9 @@ class POSSIBILITY(eqx.Enumeration):
         "The solver stopped before it reached its accuracy: the parameters are possible, but"
         " there may be nearer ones."
     )
-    failed = "The solver failed to find possible parameters: check units, covariance and prior."
+
+
+_FAILED = "The solver failed to find possible parameters: check units, covariance and prior."
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +130,6 @@ def physical_parameters(
     prior_weight: float | None = None,
     least: float = LEAST,
     knowledge: Sequence[LinkKnowledge] = (),
-    throw: bool = True,
 ) -> PhysicalParameters:
     """The physically possible masses, centres of gravity and inertia tensors nearest to a fit.
 
@@ -168,7 +169,6 @@ def physical_parameters(
       inertias that the prior lacks, and friction, have a weight of 0.01 at most.
     - `least`: every body holds at least this part of its prior: the eigenvalues of J̃ are no less.
     - `knowledge`: what is known of single parameters of links, from `Prior.link_values`.
-    - `throw`: raise an error if the solver fails, instead of returning the result code.
 
     **Returns**
 
@@ -179,7 +179,7 @@ def physical_parameters(
     - `ValueError`: for a number of links or coefficients that is not the network's, for a weight
       or part out of range, for a fit that is not finite, and for bodies fixed to links with
       principal axes.
-    - `RuntimeError`: with `throw`, if the solver fails, as where no body has what is known of it.
+    - `RuntimeError`: if the solver fails, as where no body has what is known of it.
     - `ImportError`: without the conic solver (the extra `inertia`), where it is needed.
 
     >>> import jaxcslc as jc
@@ -214,13 +214,8 @@ def physical_parameters(
     else:
         optimum = problem.solve(least)
     if optimum is None:
-        if throw:
-            raise RuntimeError(f"physical_parameters: {POSSIBILITY[POSSIBILITY.failed]}")
-        bodies, others = problem.prior.bodies, problem.others * problem.scales
-        code = POSSIBILITY.failed
-    else:
-        bodies, others, converged = optimum
-        code = POSSIBILITY.successful if converged else POSSIBILITY.inexact
+        raise RuntimeError(f"physical_parameters: {_FAILED}")
+    bodies, others, converged = optimum
 
     inertia = network.robot.inertia
     motor_mask = np.array([motors and kind.motor for kind in inertia], bool)
@@ -248,7 +243,7 @@ def physical_parameters(
         problem.weight,
         problem.distance(k),
         _torque_distance(network, k - problem.k, patterns),
-        code,
+        POSSIBILITY.successful if converged else POSSIBILITY.inexact,
     )
 
 
@@ -288,7 +283,7 @@ def possible_coefficients(
     )
     optimum = problem.solve(LEAST)
     if optimum is None:
-        raise RuntimeError(f"possible bodies: {POSSIBILITY[POSSIBILITY.failed]}")
+        raise RuntimeError(f"possible bodies: {_FAILED}")
     return problem.coefficients(optimum)
 
 

@@ -28,6 +28,7 @@ from ..uncertainty import (
     RelativeError,
     Source,
     SystematicError,
+    fold_numbers,
     judged_errors,
     standard_uncertainty,
 )
@@ -165,7 +166,7 @@ class JudgedPart(NamedTuple):
         cls, network: CSLC, patterns: Patterns, solver: LeastSquares, folds: int
     ) -> tuple["JudgedPart", ...]:
         """Stretches of equal length of one recording: those of `cross_validated_error`."""
-        fold = np.arange(patterns.samples) * folds // patterns.samples
+        fold = fold_numbers(patterns.samples, folds)
         columns = columns_of(network, patterns)
         fits = solver.fits_without_folds(network, patterns, fold, columns)
         return cls._of(network, patterns, columns, fold, fits)
@@ -175,7 +176,7 @@ class JudgedPart(NamedTuple):
         cls, network: CSLC, patterns: Patterns, fit: Identification, count: int
     ) -> tuple["JudgedPart", ...]:
         """Stretches of equal length of motion that a fit was not made from."""
-        stretch = np.arange(patterns.samples) * count // patterns.samples
+        stretch = fold_numbers(patterns.samples, count)
         return cls._of(network, patterns, columns_of(network, patterns), stretch, (fit,) * count)
 
     @classmethod

@@ -350,8 +350,9 @@ def _known(value: Any, where: str) -> Known:
 _SHARE = 1e-6
 # Singular values below this part of the largest are rounding of the fit's covariance.
 _SMALLEST = 1e-9
-# Standard errors are taken as no less than this part of their coefficient.
-_FINEST = 1e-6
+# Noise-free coefficients have a covariance of rounding. Standard errors are taken as no less than
+# this part of the coefficient (of that which an average body would cause): finer is beyond solvers.
+FINEST = 1e-6
 
 
 @overload
@@ -462,9 +463,9 @@ def information_rows(
     error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     # Of coefficients that nothing depends on, values and errors are rounding.
     rounding = error + np.abs(k) < _SMALLEST * np.max(error + np.abs(k), initial=0.0)
-    units = np.where(rounding, 1.0, error + _FINEST * np.abs(k))
+    units = np.where(rounding, 1.0, error + FINEST * np.abs(k))
     scaled = covariance / np.outer(units, units)
-    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2 + _FINEST**2 * np.eye(len(k)))
+    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2 + FINEST**2 * np.eye(len(k)))
     basis = np.linalg.qr((open_rows / units).T)[0] if len(open_rows) else np.zeros((len(k), 0))
     parts = np.linalg.inv(np.concatenate([vectors[:, len(k) - rank :], basis], axis=1))
     rows = parts[:rank] / np.sqrt(values[len(k) - rank :])[:, None]

@@ -30,7 +30,7 @@ from ..network import (
     Rows,
 )
 from ..recordings import Patterns
-from ..uncertainty import RelativeError
+from ..uncertainty import RelativeError, fold_numbers
 
 
 @jax.jit
@@ -268,8 +268,6 @@ def with_state(
 # one, the minimum is found to this part of itself: coefficients of a PUMA 560 then are within 0.004
 # standard errors of those of the exact minimum; to a hundredth, within 0.8.
 _DISTANCES, _TOLERANCE = np.geomspace(1e-4, 0.3, 12), 1e-4
-# Stretches that are predicted by fits to the others.
-_FOLDS = 8
 
 
 class PreSlidingFit(eqx.Module):
@@ -416,7 +414,7 @@ def _held_out(
     judged: Bool[np.ndarray, "samples joints"],
 ) -> dict[int, RelativeError]:
     """Errors of stretches under fits to the others, with distances over those without."""
-    fold = np.arange(patterns.samples) * _FOLDS // patterns.samples
+    fold = fold_numbers(patterns.samples)
     yielding, _ = with_state(network, np.asarray(patterns.q), presliding_distance)
     after, before = (solver.held_out_errors(x, patterns, fold) for x in (yielding, network))
     return {

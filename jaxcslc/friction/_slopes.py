@@ -244,7 +244,6 @@ _ROBUST_ROUNDS = 30
 # The search ends with a step of this part of a slope: of a round of weights that others follow, of
 # the last one, and of rounds of a robust loss, which end with a change of this part themselves.
 _TOLERANCE_BEFORE, _TOLERANCE, _ROBUST_TOLERANCE = 1e-3, 1e-6, 1e-8
-_ROUND_TOLERANCE = 1e-6
 # A search starts this part of what is between its bounds away from them.
 _INSIDE = 1e-9
 
@@ -450,7 +449,7 @@ def _fitted_slopes(
         tolerance = _ROBUST_TOLERANCE if robust else last
         search = _searched(equations, slopes, weights, solver.rcond, max_steps, tolerance)
         slopes, steps, k = search.slopes, steps + search.steps, search.solution.k[: len(k)]
-        if robust and np.max(np.abs(np.log(slopes / before))) < _ROUND_TOLERANCE:
+        if robust and np.max(np.abs(np.log(slopes / before))) < _TOLERANCE:
             break
     assert search is not None
     return dataclasses.replace(search, steps=steps)

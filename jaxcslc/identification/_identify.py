@@ -22,7 +22,13 @@ from ..likelihood import MaximumLikelihood
 from ..network import CSLC, DIRECTIONAL_LOAD, LOAD
 from ..recordings import Patterns, Recording
 from ..report import Report, compare, degree_of_excitation, fit_warnings
-from ..selection import FRICTION_CANDIDATES, PRE_SLIDING, FrictionChoice, choose_friction
+from ..selection import (
+    FRICTION_CANDIDATES,
+    PRE_SLIDING,
+    SAMPLES_OF_THREADS,
+    FrictionChoice,
+    choose_friction,
+)
 from ..uncertainty import SeveralFit
 from ._estimator import AbstractEstimator, Judged
 from ._exclusions import LOAD_FRICTION, Request, check_request, excluded
@@ -189,11 +195,6 @@ def _note_of(states: PreSlidingFit, *, fitted: bool) -> str:
         " identification.json, simulated motion and C code; all else, robot files included, has"
         " dry friction as a step"
     )
-
-
-# From here on recordings are checked beside what follows: of shorter ones NumPy's operations take
-# so little that threads wait for the interpreter.
-_SAMPLES_OF_THREADS = 8192
 
 
 def identify(
@@ -441,7 +442,7 @@ def _checked_beside(
     elif can_fork() and computed_on_host(request.network, longest.position):
         with computed_beside(lambda: _checked(request)) as result:
             yield result
-    elif longest.samples >= _SAMPLES_OF_THREADS:
+    elif longest.samples >= SAMPLES_OF_THREADS:
         with ThreadPoolExecutor(1) as pool:
             yield pool.submit(_checked, request).result
     else:

@@ -14,6 +14,7 @@ from ..instruments import DirectDynamics, InstrumentalVariables
 from ..least_squares import Identification, computed_on_host
 from ..selection import PRE_SLIDING
 from ..uncertainty import (
+    FOLDS,
     HeldOut,
     SeveralFit,
     SystematicError,
@@ -23,7 +24,7 @@ from ..uncertainty import (
 )
 from ._estimator import AbstractEstimator, Fit, Judged, held_out_of
 from ._exclusions import BODIES, LOAD_FRICTION, OFFSETS, PREVIOUS, SEVERAL
-from ._problem import FOLDS, Problem
+from ._problem import Problem
 
 
 # Coefficients of fits, and which of them are determined, by recording.

@@ -36,15 +36,20 @@ from ..network import CSLC
 from ..recordings import Patterns, Recording
 from ..report import predicted_torque
 from ..selection import PRE_SLIDING
-from ..uncertainty import FEWEST_SAMPLES, RelativeError, Source, SystematicError, held_out_from
+from ..uncertainty import (
+    FEWEST_SAMPLES,
+    FOLDS,
+    RelativeError,
+    Source,
+    SystematicError,
+    held_out_from,
+)
 from ._estimator import AbstractEstimator, Begin, Fit, Judged, held_out_of
 from ._exclusions import BODIES, LIKELIHOOD, SEVERAL, Request
 from ._least_squares import Regression, with_states
 from ._problem import Problem, joined, without_lag
 
 
-# Estimators are judged in as many stretches, whose spread says what is chance.
-_STRETCHES = 8
 # Matrices of positions times coefficients that a fit keeps at a time.
 _MATRICES = 6
 
@@ -309,7 +314,7 @@ def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
     along = along_motion(
         ours.network, unfitted.patterns, ours.presliding_distance, unfitted.contact
     )
-    parts = JudgedPart.held_out(along, unfitted.patterns, unfitted.likelihood.fit, _STRETCHES)
+    parts = JudgedPart.held_out(along, unfitted.patterns, unfitted.likelihood.fit, FOLDS)
     fit = likelihood.free
     if fit is None:
         fit = _informed(request, likelihood.fit, ours.network)
@@ -488,7 +493,7 @@ def _relative(
             (rigid, other),
         )
     )
-    stretches = np.array_split(np.arange(len(ours.mask)), _STRETCHES)
+    stretches = np.array_split(np.arange(len(ours.mask)), FOLDS)
     return RelativeError.of(
         *(
             [values[rows] for rows in stretches]

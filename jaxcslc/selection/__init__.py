@@ -18,6 +18,7 @@ from ._friction import (
 )
 from ._section import Segment as Segment, section_of as section_of, sections_of as sections_of
 from ._selection import (
+    SAMPLES_OF_THREADS as SAMPLES_OF_THREADS,
     Selection as Selection,
     Trial as Trial,
     choose_settings as choose_settings,

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from ..friction import PreSlidingFit, fit_load, fit_slopes, linearised
 from ..least_squares import Settings
@@ -18,7 +18,7 @@ from ..recordings import (
     friction_thresholds,
     static_fractions,
 )
-from ..uncertainty import RelativeError
+from ..uncertainty import RelativeError, fold_numbers
 from ._selection import choose_settings
 
 
@@ -45,8 +45,8 @@ _OFFSET_ERROR, _OFFSET_SIGNIFICANT = 0.1, 5.0
 _GAIN_OF_SECOND = 0.01
 # What trials of a state of dry friction are called (`fit_pre_sliding`).
 PRE_SLIDING = "pre-sliding"
-# Rounds of adding terms; stretches of the recording, each predicted by a fit to the others.
-_ROUNDS, _FOLDS = 3, 8
+# Rounds of adding terms.
+_ROUNDS = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -240,7 +240,7 @@ def choose_friction(
                     errors, mask, laws = _held_out(richer, recording, settings)
                 except (ValueError, RuntimeError):  # nothing in the motion determines it
                     continue
-                fold = _fold(len(mask))
+                fold = fold_numbers(len(mask))
                 unclear = _unclear_offsets(richer, recording, settings) if "offset" in kind else ()
                 for joint in joints:
                     relative = RelativeError.of_joint(errors, before, mask, fold, joint)
@@ -358,13 +358,8 @@ def _held_out(
         network, patterns = linearised(load.network, load.fit.k, patterns)
     elif "static" in network.robot.friction_terms:
         network = fit_slopes(network, patterns, solver=suited.solver).network
-    errors = suited.solver.held_out_errors(network, patterns, _fold(patterns.samples))
+    errors = suited.solver.held_out_errors(network, patterns, fold_numbers(patterns.samples))
     return errors, moving, network.friction_per_joint
-
-
-def _fold(samples: int) -> Int[np.ndarray, " samples"]:
-    """Return the number of the stretch of each sample, from 0."""
-    return np.arange(samples) * _FOLDS // samples
 
 
 def _best(trials: Sequence[FrictionTrial], chance: float) -> dict[int, FrictionTrial]:

@@ -29,6 +29,7 @@ from ..recordings import (
     TorqueAlignment,
     zero_phase,
 )
+from ..uncertainty import FOLDS
 from ._candidates import Candidates, CoordinateSearch
 
 
@@ -199,7 +200,7 @@ def settled_alignment(
 
 
 # Of a shorter recording NumPy's operations take so little that threads wait for the interpreter.
-_SAMPLES_OF_THREADS = 8192
+SAMPLES_OF_THREADS = 8192
 _MOST_THREADS = 4  # each holds the columns and the equations of a candidate
 
 
@@ -283,7 +284,7 @@ def choose_settings(
     candidates: Candidates | None = None,
     *,
     backlash: bool = False,
-    folds: int = 8,
+    folds: int = FOLDS,
     gap: float | None = None,
 ) -> Selection:
     """Chooses smoothing, masks and fit by cross-validation on one recording.
@@ -354,7 +355,7 @@ def selection_with_motion(
     candidates: Candidates | None = None,
     *,
     backlash: bool = False,
-    folds: int = 8,
+    folds: int = FOLDS,
     gap: float | None = None,
 ) -> tuple[Selection, Derivatives | None]:
     """Run `choose_settings`, and return the derivatives under the best settings as well.
@@ -434,7 +435,7 @@ class _Trials:
             self._columns_of(self.start.preparation, self._patterns(self.start))
             with SharedMap(self._trial) as run:
                 yield run
-        elif self.recording.samples >= _SAMPLES_OF_THREADS:
+        elif self.recording.samples >= SAMPLES_OF_THREADS:
             # The same threads throughout: what new ones allocate, the process would keep.
             with ThreadPoolExecutor(min(core_count(), _MOST_THREADS)) as pool:
                 yield partial(self._in_threads, pool)

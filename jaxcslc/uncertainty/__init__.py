@@ -9,10 +9,12 @@ In: a fit, its patterns and others. Out: figures of how far the coefficients can
 
 from ._held_out import (
     FEWEST_SAMPLES as FEWEST_SAMPLES,
+    FOLDS as FOLDS,
     HeldOut as HeldOut,
     RelativeError as RelativeError,
     Source as Source,
     cross_validated_error as cross_validated_error,
+    fold_numbers as fold_numbers,
     held_out_error as held_out_error,
     held_out_from as held_out_from,
     judged_errors as judged_errors,

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from ..least_squares import Equations, Identification, LeastSquares, Unknowns, regressor_of
 from ..network import AbstractLinearNetwork
 from ..recordings import Patterns
+from ._held_out import CHANCE
 from ._systematic_error import SystematicError
 
 
@@ -99,8 +100,6 @@ def _square(column: Float[np.ndarray, " rows"]) -> float:
     return float(column @ column) or 1.0
 
 
-# Recordings of the same robot are said to disagree once in so many times.
-_CHANCE = 0.01
 # What a sentence ends with where no cause of a disagreement is known.
 _NO_CAUSE = "check temperature, payload and robot, or fit it by itself"
 
@@ -216,7 +215,7 @@ def agreement_of(
         error[name] = np.where(both, np.hypot(*errors), np.nan)
         degrees = min(float(some.degrees_of_freedom) for some in (fit, other))
         tests = max(int(np.count_nonzero(both)), 1) * comparisons
-        limit[name] = float(scipy.special.stdtrit(degrees, 1.0 - 0.5 * _CHANCE / tests))
+        limit[name] = float(scipy.special.stdtrit(degrees, 1.0 - 0.5 * CHANCE / tests))
     return RecordingAgreement(
         network.names,
         MappingProxyType(difference),

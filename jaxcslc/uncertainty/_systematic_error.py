@@ -30,6 +30,7 @@ from ..least_squares import (
 )
 from ..network import CSLC
 from ..recordings import Derivatives, Patterns, Recording
+from ._held_out import FOLDS, fold_numbers
 
 
 # Parts of a joint's greatest torque from which a motor may give less than is demanded.
@@ -193,10 +194,6 @@ def uncertainty_interval(
     half = quantile * standard_uncertainty(fit, systematic)
     k = np.asarray(fit.k)
     return np.stack([k - half, k + half], axis=-1)
-
-
-# Stretches of the recording that are left out in turn, for the noise of a shift.
-_STRETCHES = 8
 
 
 def systematic_error(
@@ -412,7 +409,7 @@ def _shifts(
     """
     if not inputs:
         return {}
-    stretch = np.arange(samples) * min(_STRETCHES, samples) // samples
+    stretch = fold_numbers(samples, min(FOLDS, samples))
     together = [np.concatenate(parts, axis=1) for parts in zip(*inputs.values(), strict=True)]
     # One factorisation of each stretch, of the unknowns of all causes: columns of its triangle
     # stand for those of the equations, and the others' triangles are joined.

@@ -60,7 +60,7 @@ def test_candidates_side_by_side_are_those_one_after_the_other(
     candidates = jc.Candidates(smoothings=tuple(map(jc.AveragedSplines, (5, 9, 17, 25))))
     alone = jc.choose_settings(pendulum, recording, candidates)
     if by == "threads":
-        monkeypatch.setattr(selection_module, "_SAMPLES_OF_THREADS", 1)
+        monkeypatch.setattr(selection_module, "SAMPLES_OF_THREADS", 1)
         monkeypatch.setattr(selection_module, "core_count", lambda: 3)
     else:
         monkeypatch.setattr(selection_module, "can_fork", lambda: True)
