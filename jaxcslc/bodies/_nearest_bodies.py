@@ -461,8 +461,8 @@ class Optimum(NamedTuple):
 class NearestBodies:
     """The programme that finds the bodies, motor inertias and friction nearest to a fit.
 
-    Coefficients are `of_bodies · (bodies + fixed) + of_others @ others`. The `others` are motor
-    inertias, then all coefficients that are not inertial, in units of `scales`.
+    Coefficients are `body_columns · (bodies + fixed) + other_columns @ others`. The `others` are
+    motor inertias, then all coefficients that are not inertial, in units of `scales`.
 
     **Attributes**
 
@@ -471,7 +471,7 @@ class NearestBodies:
     - `whitening`: the matrix that turns changes of coefficients into standard errors.
     - `fixed`: bodies that are fixed to links and known.
     - `prior`: bodies to keep to where the data say nothing.
-    - `of_bodies`, `of_others`: what multiplies the unknowns in every coefficient.
+    - `body_columns`, `other_columns`: what multiplies the unknowns in every coefficient.
     - `others`: the prior of the others, in units of `scales`.
     - `bounded`: 1 for others that cannot be negative.
     - `scales`: units of the others.
@@ -487,8 +487,8 @@ class NearestBodies:
     whitening: Float[np.ndarray, "rank coefficients"]
     fixed: Float[np.ndarray, "links 10"]
     prior: PriorBodies
-    of_bodies: Float[np.ndarray, "coefficients links 10"]
-    of_others: Float[np.ndarray, "coefficients others"]
+    body_columns: Float[np.ndarray, "coefficients links 10"]
+    other_columns: Float[np.ndarray, "coefficients others"]
     others: Float[np.ndarray, " others"]
     bounded: Float[np.ndarray, " others"]
     scales: Float[np.ndarray, " others"]
@@ -527,13 +527,13 @@ class NearestBodies:
         others = np.setdiff1d(np.arange(p), np.arange(p)[inertial])
         motor_mask = np.array([motors and inertia.motor for inertia in robot.inertia], bool)
         motor_count = int(motor_mask.sum())
-        of_bodies = np.zeros((p, *inertial_of_bodies.shape[1:]))
-        of_bodies[inertial] = inertial_of_bodies
+        body_columns = np.zeros((p, *inertial_of_bodies.shape[1:]))
+        body_columns[inertial] = inertial_of_bodies
 
         links = prior if prior is not None else robot.links
         if links is None:
             unit_balls = bodies_of(balls(robot, 1.0))
-            ball = balls(robot, _mass(fit, np.einsum("ple,le->p", of_bodies, unit_balls)))
+            ball = balls(robot, _mass(fit, np.einsum("ple,le->p", body_columns, unit_balls)))
             prior_bodies = prior_of(robot, ball, ball, 0.0 * fixed_bodies)
         else:
             masses = [float(link.mass) for link in links if float(link.mass) > 0]
@@ -547,22 +547,22 @@ class NearestBodies:
         )
         positive = np.array([network.coefficients[i].positive for i in others], bool)
         start = np.where(positive, np.maximum(k[others], 0.0), k[others])
-        of_others = np.zeros((p, len(scales)))
-        of_others[inertial, :motor_count] = of_motors[:, motor_mask]
-        of_others[others, motor_count:] = np.eye(len(others))
-        of_others *= scales
+        other_columns = np.zeros((p, len(scales)))
+        other_columns[inertial, :motor_count] = of_motors[:, motor_mask]
+        other_columns[others, motor_count:] = np.eye(len(others))
+        other_columns *= scales
         changes = [
-            of_bodies[:, i] @ in_units_of(body) for i, body in enumerate(prior_bodies.bodies)
+            body_columns[:, i] @ in_units_of(body) for i, body in enumerate(prior_bodies.bodies)
         ]
-        typical = np.linalg.norm(np.concatenate([*changes, of_others], axis=1), axis=1)
+        typical = np.linalg.norm(np.concatenate([*changes, other_columns], axis=1), axis=1)
         return cls(
             robot=robot,
             k=k,
             whitening=whitening(fit, np.where(typical > 0, typical, 1.0)),
             fixed=fixed_bodies,
             prior=prior_bodies,
-            of_bodies=of_bodies,
-            of_others=of_others,
+            body_columns=body_columns,
+            other_columns=other_columns,
             others=np.concatenate([prior_bodies.motors[motor_mask], start]) / scales,
             bounded=np.concatenate([np.ones(motor_count), 1.0 * positive]),
             scales=scales,
@@ -603,8 +603,8 @@ class NearestBodies:
 
     def coefficients(self, optimum: Optimum) -> Float[np.ndarray, " coefficients"]:
         """The coefficients that an optimum implies."""
-        k = np.einsum("ple,le->p", self.of_bodies, optimum.bodies + self.fixed)
-        return k + self.of_others @ (optimum.others / self.scales)
+        k = np.einsum("ple,le->p", self.body_columns, optimum.bodies + self.fixed)
+        return k + self.other_columns @ (optimum.others / self.scales)
 
     @property
     def _other_weights(self) -> Float[np.ndarray, " others"]:
@@ -613,9 +613,9 @@ class NearestBodies:
     def _convex(self, least: float) -> Optimum | None:
         count = len(self.prior.bodies)
         units = [in_units_of(body) for body in self.prior.bodies]
-        columns = [self.of_bodies[:, i] @ unit for i, unit in enumerate(units)]
-        matrix = self.whitening @ np.concatenate([*columns, self.of_others], axis=1)
-        of_fixed = np.einsum("ple,le->p", self.of_bodies, self.fixed)
+        columns = [self.body_columns[:, i] @ unit for i, unit in enumerate(units)]
+        matrix = self.whitening @ np.concatenate([*columns, self.other_columns], axis=1)
+        of_fixed = np.einsum("ple,le->p", self.body_columns, self.fixed)
         wanted = np.concatenate([np.tile(np.eye(4).ravel(), count), self.others])
         rows: list[np.ndarray] = []
         values: list[float] = []
@@ -680,8 +680,8 @@ class NearestBodies:
         ]
         solution = nearest_in_charts(
             charts,
-            np.einsum("rp,ple->rle", self.whitening, self.of_bodies),
-            self.whitening @ self.of_others,
+            np.einsum("rp,ple->rle", self.whitening, self.body_columns),
+            self.whitening @ self.other_columns,
             self.whitening @ self.k,
             self.others,
             self.bounded,

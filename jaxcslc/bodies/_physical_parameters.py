@@ -230,8 +230,8 @@ def physical_parameters(
         link_of(body, float(motor))
         for body, motor in zip(bodies_of(links) - problem.fixed, motor_inertias, strict=True)
     )
-    k = np.einsum("ple,le->p", problem.of_bodies, bodies_of(links))
-    k += problem.of_others @ (others / problem.scales)
+    k = np.einsum("ple,le->p", problem.body_columns, bodies_of(links))
+    k += problem.other_columns @ (others / problem.scales)
     return PhysicalParameters(
         network.names,
         links,

@@ -10,14 +10,13 @@ from typing import Any, Literal, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from .._environment import MissingExtraError
 from ..least_squares import (
     FoldFit,
     HostColumns,
     Identification,
-    LeastSquares,
     columns_of,
     torque_by,
 )
@@ -162,59 +161,25 @@ class JudgedPart(NamedTuple):
     fit: Identification | FoldFit
 
     @classmethod
-    def stretches(
-        cls, network: CSLC, patterns: Patterns, solver: LeastSquares, folds: int
-    ) -> tuple["JudgedPart", ...]:
-        """Stretches of equal length of one recording: those of `cross_validated_error`."""
-        fold = fold_numbers(patterns.samples, folds)
+    def of(cls, network: CSLC, patterns: Patterns, fit: Identification | FoldFit) -> "JudgedPart":
+        """Return patterns, all of which a fit was not made from, as one part."""
         columns = columns_of(network, patterns)
-        fits = solver.fits_without_folds(network, patterns, fold, columns)
-        return cls._of(network, patterns, columns, fold, fits)
-
-    @classmethod
-    def held_out(
-        cls, network: CSLC, patterns: Patterns, fit: Identification, count: int
-    ) -> tuple["JudgedPart", ...]:
-        """Stretches of equal length of motion that a fit was not made from."""
-        stretch = fold_numbers(patterns.samples, count)
-        return cls._of(network, patterns, columns_of(network, patterns), stretch, (fit,) * count)
-
-    @classmethod
-    def _of(
-        cls,
-        network: CSLC,
-        patterns: Patterns,
-        columns: HostColumns,
-        fold: Int[np.ndarray, " samples"],
-        fits: Sequence[Identification | FoldFit],
-    ) -> tuple["JudgedPart", ...]:
         torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
-        stretches = [slice(*np.searchsorted(fold, [i, i + 1]).tolist()) for i in range(len(fits))]
+        return cls(network.support, columns, torque, mask, fit)
+
+    def stretches(self, fits: Sequence[Identification | FoldFit]) -> tuple["JudgedPart", ...]:
+        """Cut the part into stretches of equal length, with a fit for each."""
+        fold = fold_numbers(len(self.torque), len(fits))
+        ends = np.searchsorted(fold, np.arange(len(fits) + 1)).tolist()
         return tuple(
-            cls(
-                network.support,
-                tuple(of_joint[:, rows] for of_joint in columns),
-                torque[rows],
-                mask[rows],
+            JudgedPart(
+                self.support,
+                tuple(of_joint[:, start:end] for of_joint in self.columns),
+                self.torque[start:end],
+                self.mask[start:end],
                 fit,
             )
-            for rows, fit in zip(stretches, fits, strict=True)
-        )
-
-    @classmethod
-    def recordings(
-        cls, network: CSLC, patterns: Mapping[str, Patterns], without: Mapping[str, Identification]
-    ) -> tuple["JudgedPart", ...]:
-        """Several recordings, and the fit without each."""
-        return tuple(
-            cls(
-                network.support,
-                columns_of(network, values),
-                np.asarray(values.torque),
-                np.asarray(values.mask),
-                without[name],
-            )
-            for name, values in patterns.items()
+            for start, end, fit in zip(ends, ends[1:], fits, strict=False)
         )
 
     def errors(

@@ -14,13 +14,13 @@ from ..instruments import DirectDynamics, InstrumentalVariables
 from ..least_squares import Identification, computed_on_host
 from ..selection import PRE_SLIDING
 from ..uncertainty import (
-    FOLDS,
     HeldOut,
     SeveralFit,
     SystematicError,
     SystematicProblem,
     cross_validated_error,
     fit_recordings,
+    fold_numbers,
 )
 from ._estimator import AbstractEstimator, Fit, Judged, held_out_of
 from ._exclusions import BODIES, LOAD_FRICTION, OFFSETS, PREVIOUS, SEVERAL
@@ -84,7 +84,7 @@ class Regression(AbstractEstimator):
                     network,
                     identification,
                     problem.judged_patterns,
-                    partial(_parts, problem, several),
+                    partial(_parts, problem, identification, several),
                     choice=request.possible,
                     prior=request.prior,
                     source="cross-validation" if several is None else "left-out recording",
@@ -150,16 +150,24 @@ def _less_offsets(problem: Problem, several: SeveralFit) -> Problem:
     return dataclasses.replace(problem, recordings=recordings)
 
 
-def _parts(problem: Problem, several: SeveralFit | None) -> tuple[JudgedPart, ...]:
+def _parts(
+    problem: Problem, fit: Identification, several: SeveralFit | None
+) -> tuple[JudgedPart, ...]:
     """Parts of the motion, and fits without each: recordings, or stretches of one."""
+    network, patterns = problem.network, problem.judged_patterns
     if several is not None:
-        return JudgedPart.recordings(problem.network, several.patterns, several.without)
-    return JudgedPart.stretches(problem.network, problem.judged_patterns, problem.solver, FOLDS)
+        return tuple(
+            JudgedPart.of(network, values, several.without[name])
+            for name, values in several.patterns.items()
+        )
+    whole, fold = JudgedPart.of(network, patterns, fit), fold_numbers(patterns.samples)
+    fits = problem.solver.fits_without_folds(network, patterns, fold, whole.columns)
+    return whole.stretches(tuple(fits))
 
 
 def _cross_validated(problem: Problem, fit: Fit, several: SeveralFit | None) -> HeldOut:
     if several is not None:
-        parts = _parts(problem, several)
+        parts = _parts(problem, fit.identification, several)
         k = fit.identification.k
         return held_out_of_parts(fit.network, fit.identification, k, parts, "left-out recording")
     return cross_validated_error(

@@ -77,7 +77,14 @@ class Likelihood(AbstractEstimator):
         fit into memory.
         """
         request = problem.request
-        check_size(request.network, request.training, request.memory)
+        needed, memory = _needed(request.network, request.training), request.memory
+        if needed > memory:
+            samples = sum(recording.samples for recording in request.training.values())
+            raise ValueError(
+                f"maximum likelihood of {samples} samples needs {needed:.2g} GB; expected at most"
+                f" {memory:g} GB, about {int(memory / (needed / samples))} samples: thin the"
+                " recording, or allow more memory"
+            )
         options = _with_bodies(request, options_for(request.likelihood_options, problem.settings))
         # Regression with static friction starts from other slopes.
         start = None if _has_static_friction(request.network) else problem.start
@@ -160,18 +167,6 @@ def options_for(options: MaximumLikelihood, settings: Settings) -> MaximumLikeli
 def within_memory(network: CSLC, training: Mapping[str, Recording], memory: float) -> bool:
     """Return whether the matrices of a fit fit into memory [GB]."""
     return _needed(network, training) <= memory
-
-
-def check_size(network: CSLC, training: Mapping[str, Recording], memory: float) -> None:
-    """**Raises** `ValueError` if the matrices of a fit do not fit into memory [GB]."""
-    if not within_memory(network, training, memory):
-        samples = sum(recording.samples for recording in training.values())
-        needed = _needed(network, training)
-        raise ValueError(
-            f"maximum likelihood of {samples} samples needs {needed:.2g} GB; expected at most"
-            f" {memory:g} GB, about {int(memory / (needed / samples))} samples: thin the recording,"
-            " or allow more memory"
-        )
 
 
 def _needed(network: CSLC, training: Mapping[str, Recording]) -> float:
@@ -314,7 +309,8 @@ def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
     along = along_motion(
         ours.network, unfitted.patterns, ours.presliding_distance, unfitted.contact
     )
-    parts = JudgedPart.held_out(along, unfitted.patterns, unfitted.likelihood.fit, FOLDS)
+    unseen = JudgedPart.of(along, unfitted.patterns, unfitted.likelihood.fit)
+    parts = unseen.stretches((unseen.fit,) * FOLDS)
     fit = likelihood.free
     if fit is None:
         fit = _informed(request, likelihood.fit, ours.network)
