@@ -276,36 +276,19 @@ class SimulationFit(eqx.Module):
         return f"SimulationFit({ended} after {self.steps} simulations{tested}; {self.fit})"
 
 
-class Simulated(NamedTuple):
-    """Motion under some coefficients, beside the measured motion of the same samples.
-
-    - `measured`: patterns of the recording; `simulated`: those of the simulation.
-    - `distance`: (n,) root mean square of their positions' difference.
-    """
-
-    measured: Patterns
-    simulated: Patterns
-    distance: Float[np.ndarray, " joints"]
-
-
 def fit_by_simulation(
+    estimator: "InstrumentalVariables | DirectDynamics",
     network: CSLC,
     recording: Recording,
-    motion: AbstractSimulatedMotion,
-    settings: Settings,
     start: Identification | None,
-    iterations: int,
-    solve: Callable[[Simulated], tuple[Identification, ExogeneityTest | None]],
     progress: Callable[[str], None] | None,
 ) -> SimulationFit:
-    """Simulates and solves in turn until coefficients do not change beyond their errors.
+    """Simulate and solve in turn until coefficients do not change beyond their errors.
 
-    - `solve`: from motion to coefficients.
-    - the others: as of `InstrumentalVariables.fit`.
-
-    **Raises** as `InstrumentalVariables.fit`.
+    Arguments and errors are those of `InstrumentalVariables.fit`.
     """
     require_float64()
+    settings = (estimator.settings or Settings()).for_network(network)
     _check(network, recording, settings)
     report = progress or (lambda words: None)
     measured = settings.patterns(recording)
@@ -313,15 +296,15 @@ def fit_by_simulation(
     least_squares = settings.fit(network, measured)
     fit, exogeneity = least_squares if start is None else start, None
     distance, converged, steps = np.zeros(network.joint_count), False, 0
-    while steps < iterations and not converged:
+    while steps < estimator.iterations and not converged:
         steps += 1
         report(f"simulation {steps}")
         k = _possible(network, fit, measured)
-        derivatives = simulated_derivatives(motion, network, k, recording, settings)
-        patterns = settings.preparation.patterns(recording, derivatives)
+        derivatives = simulated_derivatives(estimator.motion, network, k, recording, settings)
+        simulated = settings.preparation.patterns(recording, derivatives)
         distance = np.sqrt(np.mean((derivatives[0] - recording.position) ** 2, axis=0))
         before = np.asarray(fit.k)
-        fit, exogeneity = solve(Simulated(measured, patterns, distance))
+        fit, exogeneity = estimator.solve(network, settings, measured, simulated)
         error = np.asarray(fit.standard_error)
         known = np.isfinite(error) & (error > 0.0)
         change = np.abs(np.asarray(fit.k) - before)
@@ -351,16 +334,6 @@ def _check(network: CSLC, recording: Recording, settings: Settings) -> None:
         raise ValueError(
             f"loss is {settings.solver.loss!r}; expected 'squared': instruments have no other"
         )
-
-
-def both_masks(simulated: Simulated) -> tuple[Patterns, Patterns]:
-    """Measured and simulated patterns, with the pairs that count in both."""
-    mask = np.asarray(simulated.measured.mask) & np.asarray(simulated.simulated.mask)
-    measured, of_simulation = (
-        dataclasses.replace(patterns, backlash_mask=mask, friction_mask=mask)
-        for patterns in (simulated.measured, simulated.simulated)
-    )
-    return measured, of_simulation
 
 
 @dataclasses.dataclass(frozen=True)
@@ -433,20 +406,21 @@ class InstrumentalVariables:
           that are not uniform, a loss other than squares, or as `AbstractSimulatedMotion.simulate`.
         - `RuntimeError`: a fit that fails, or simulated motion that leaves the recorded one.
         """
-        settings = (self.settings or Settings()).for_network(network)
+        return fit_by_simulation(self, network, recording, start, progress)
 
-        def solve(motion: Simulated) -> tuple[Identification, ExogeneityTest]:
-            measured, simulated = both_masks(motion)
-            solver = settings.solver
-            equations, instruments = (
-                solver.equations(network, patterns) for patterns in (measured, simulated)
+    def solve(
+        self, network: CSLC, settings: Settings, measured: Patterns, simulated: Patterns
+    ) -> tuple[Identification, ExogeneityTest]:
+        """Return the coefficients of measured motion by instruments of simulated motion."""
+        mask = np.asarray(measured.mask) & np.asarray(simulated.mask)  # pairs that count in both
+        equations, instruments = (
+            settings.solver.equations(
+                network, dataclasses.replace(patterns, backlash_mask=mask, friction_mask=mask)
             )
-            result = projected_fit(equations, instruments, solver, measured.samples)
-            return result.fit, exogeneity_test(equations, result)
-
-        return fit_by_simulation(
-            network, recording, self.motion, settings, start, self.iterations, solve, progress
+            for patterns in (measured, simulated)
         )
+        result = projected_fit(equations, instruments, settings.solver, measured.samples)
+        return result.fit, exogeneity_test(equations, result)
 
 
 def check_iterations(iterations: int) -> None:
@@ -514,11 +488,11 @@ class DirectDynamics:
 
         **Returns** a `SimulationFit` without a test.
         """
-        settings = (self.settings or Settings()).for_network(network)
+        return fit_by_simulation(self, network, recording, start, progress)
 
-        def solve(motion: Simulated) -> tuple[Identification, None]:
-            return settings.fit(network, motion.simulated), None
-
-        return fit_by_simulation(
-            network, recording, self.motion, settings, start, self.iterations, solve, progress
-        )
+    def solve(
+        self, network: CSLC, settings: Settings, measured: Patterns, simulated: Patterns
+    ) -> tuple[Identification, None]:
+        """Return the coefficients of recorded torques along simulated motion."""
+        del measured
+        return settings.fit(network, simulated), None
