@@ -84,16 +84,6 @@ class PhysicalParameters:
     torque_distance: Float[np.ndarray, " joints"]
     result: POSSIBILITY
 
-    @property
-    def viscous(self) -> Float[np.ndarray, "..."] | None:
-        """Viscous friction of each joint [N m s/rad]; None if the network has none."""
-        return self.friction.get("viscous")
-
-    @property
-    def dry(self) -> Float[np.ndarray, "..."] | None:
-        """Dry friction of each joint [N m]; None if the network has none."""
-        return self.friction.get("dry")
-
     def to_pandas(self) -> "pandas.DataFrame":
         """Return a table with one row per body, in the frames of the robot's file.
 

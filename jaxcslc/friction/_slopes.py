@@ -246,6 +246,8 @@ _ROBUST_ROUNDS = 30
 _TOLERANCE_BEFORE, _TOLERANCE, _ROBUST_TOLERANCE = 1e-3, 1e-6, 1e-8
 # A search starts this part of what is between its bounds away from them.
 _INSIDE = 1e-9
+# Steps of a search in each round of weights; a PUMA 560 needs 15 to 22.
+_MOST_STEPS = 100
 
 
 class SlopeFit(eqx.Module):
@@ -304,7 +306,6 @@ def fit_slopes(
     *,
     solver: LeastSquares | None = None,
     start: Float[Array | np.ndarray, " joints"] | None = None,
-    max_steps: int = 100,
 ) -> SlopeFit:
     """The coefficients and the slopes of static friction that fit best together (8.2.1).
 
@@ -327,7 +328,6 @@ def fit_slopes(
     - `solver`: options of the fit, loss, cut-off and error model included; the defaults of
       `LeastSquares` if None.
     - `start`: (n,) slopes to start from; by default the best of some for each joint in turn.
-    - `max_steps`: of the search in each round of weights.
 
     **Raises**
 
@@ -357,7 +357,7 @@ def fit_slopes(
     while "static" in network.robot.friction_terms:
         equations = SlopeEquations.of(network, patterns, solver)
         joints = np.array(equations.joints)
-        search = _fitted_slopes(equations, solver, slopes[joints], from_start, max_steps)
+        search = _fitted_slopes(equations, solver, slopes[joints], from_start)
         steps, converged, from_start = steps + search.steps, search.converged, True
         slopes[joints] = search.slopes
         network = network.with_static_slopes(slopes)
@@ -408,7 +408,6 @@ def _fitted_slopes(
     solver: LeastSquares,
     start: Float[np.ndarray, " slopes"],
     from_start: bool,
-    max_steps: int,
 ) -> _Search:
     """The search in rounds of weights: of joints by residual, of equations for a robust loss."""
     slopes = equations.within_bounds(start)
@@ -447,7 +446,7 @@ def _fitted_slopes(
         before = slopes
         last = _TOLERANCE if number + 1 == rounds else _TOLERANCE_BEFORE
         tolerance = _ROBUST_TOLERANCE if robust else last
-        search = _searched(equations, slopes, weights, solver.rcond, max_steps, tolerance)
+        search = _searched(equations, slopes, weights, solver.rcond, tolerance)
         slopes, steps, k = search.slopes, steps + search.steps, search.solution.k[: len(k)]
         if robust and np.max(np.abs(np.log(slopes / before))) < _TOLERANCE:
             break
@@ -490,7 +489,6 @@ def _searched(
     slopes: Float[np.ndarray, " slopes"],
     weights: Float[np.ndarray, " joints"],
     rcond: float | None,
-    max_steps: int,
     tolerance: float,
 ) -> _Search:
     """Search the logarithms of the slopes, within their bounds, by SciPy's dogleg."""
@@ -529,7 +527,7 @@ def _searched(
         xtol=tolerance,
         ftol=None,
         gtol=None,
-        max_nfev=max_steps,
+        max_nfev=_MOST_STEPS,
     )
     ended = slopes_at(result.x)
     solution = _evaluated(equations, ended, weights, rcond)[0]

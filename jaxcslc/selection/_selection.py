@@ -66,14 +66,13 @@ class Scoring:
         cutoffs: Sequence[float | None],
         *,
         folds: int,
-        gap: float | None,
     ) -> "Scoring":
         """Return the scoring of trials on a recording.
 
         - `mask`: pairs that count under the strictest candidate, of samples that all are fitted to.
         - `cutoffs`: candidates for the parallel filter [Hz]; the others: as of `choose_settings`.
 
-        **Raises** `ValueError`: too many folds, or a gap that leaves nothing to judge.
+        **Raises** `ValueError`: too many folds, or nothing to judge.
         """
         samples = len(mask)
         most = samples // (2 * _FEWEST)
@@ -85,16 +84,10 @@ class Scoring:
         length = -(-samples // folds)
         interval = float(np.median(np.diff(recording.time)))
         filters = sorted(cutoff for cutoff in cutoffs if cutoff is not None)
-        if gap is None:
-            slowest = 0.5 / (filters[0] * interval) if filters else 0.0
-            margin = min(int(np.ceil(slowest)), length // 8)
-        else:
-            margin = int(np.ceil(gap / interval)) if 0.0 <= gap < length * interval else -1
-        if not 0 <= 2 * margin < length:
-            raise ValueError(
-                f"a gap of {gap} s at both ends of a stretch of {length * interval:.3g} s;"
-                " expected at least 0 and less than half the stretch"
-            )
+        # Smoothing and filters reach across the ends of stretches: half a period of the lowest
+        # cut-off, at most an eighth of a stretch, is not judged.
+        slowest = 0.5 / (filters[0] * interval) if filters else 0.0
+        margin = min(int(np.ceil(slowest)), length // 8)
         fold, within = np.divmod(np.arange(samples), length)
         inside = (within >= margin) & (within < length - margin)
         judged = mask & inside[:, None]
@@ -285,7 +278,6 @@ def choose_settings(
     *,
     backlash: bool = False,
     folds: int = FOLDS,
-    gap: float | None = None,
 ) -> Selection:
     """Chooses smoothing, masks and fit by cross-validation on one recording.
 
@@ -300,8 +292,8 @@ def choose_settings(
       (the middle one of the candidates for `cutoff`), where wrong coefficients show that torque
       noise would hide;
     - they are taken over the same pairs of joint and sample: those that count under the greatest
-      of the threshold fractions, and are further than `gap` from the ends of their stretch, where
-      smoothing and filters reach across;
+      of the threshold fractions, and are further from the ends of their stretch than
+      half a period of the lowest cut-off, where smoothing and filters reach across;
     - the score is the geometric mean over stretches and joints, so that neither a strong joint
       nor one odd stretch decides, and units do not matter.
 
@@ -325,15 +317,13 @@ def choose_settings(
     - `candidates`: what to choose among; by default `Candidates.suited_to(recording, network)`.
     - `backlash`: leave out the pairs that may be in backlash, in fits and in judging.
     - `folds`: how many stretches.
-    - `gap`: how far inside its stretch a sample must be to be judged [s]; by default half a
-      period of the lowest cut-off of all candidates, but at most an eighth of a stretch.
 
     **Returns** the selection, with every trial.
 
     **Raises**
 
-    - `ValueError`: a recording of another number of joints, too many folds or fewer than two, a
-      gap that leaves nothing to judge, or candidates that the recording cannot be treated by.
+    - `ValueError`: a recording of another number of joints, too many folds or fewer than two, or
+      candidates that the recording cannot be treated by.
 
     >>> import numpy as np, jaxcslc as jc
     >>> network = jc.derive(jc.examples.pendulum())
@@ -344,7 +334,7 @@ def choose_settings(
     'sample'
     """
     selection, _ = selection_with_motion(
-        network, recording, candidates, backlash=backlash, folds=folds, gap=gap
+        network, recording, candidates, backlash=backlash, folds=folds
     )
     return selection
 
@@ -356,7 +346,6 @@ def selection_with_motion(
     *,
     backlash: bool = False,
     folds: int = FOLDS,
-    gap: float | None = None,
 ) -> tuple[Selection, Derivatives | None]:
     """Run `choose_settings`, and return the derivatives under the best settings as well.
 
@@ -372,7 +361,7 @@ def selection_with_motion(
     require_float64(recording.position, recording.torque)
     if candidates is None:
         candidates = Candidates.suited_to(recording, network)
-    trials = _Trials(network, recording, candidates, backlash=backlash, folds=folds, gap=gap)
+    trials = _Trials(network, recording, candidates, backlash=backlash, folds=folds)
     with trials.shared() as run, trials.torque_lag() as lag:
         search = CoordinateSearch(partial(trials.scores, run))
         best = search.run(trials.start, candidates.families(), candidates.options())
@@ -401,7 +390,6 @@ class _Trials:
         *,
         backlash: bool,
         folds: int,
-        gap: float | None,
     ):
         self.network = network
         self.recording = recording
@@ -424,7 +412,7 @@ class _Trials:
         )
         patterns = strictest.patterns(recording, self._motion(strictest))
         self.scoring = Scoring.of(
-            recording, np.asarray(patterns.mask), candidates.cutoffs, folds=folds, gap=gap
+            recording, np.asarray(patterns.mask), candidates.cutoffs, folds=folds
         )
 
     @contextlib.contextmanager
