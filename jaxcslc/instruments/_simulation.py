@@ -344,10 +344,9 @@ _NEAR = 0.1
 class AbstractSimulatedMotion(eqx.Module):
     """Simulator of the arm of a recording, for motion that is free of the encoders' noise.
 
-    To add one, subclass this and implement `simulate`.
+    To add one, subclass this and implement `begin` and `after`.
     """
 
-    @abc.abstractmethod
     def simulate(
         self,
         network: CSLC,
@@ -369,6 +368,30 @@ class AbstractSimulatedMotion(eqx.Module):
         **Returns** `q`, `qd`, `qdd`, (samples, n) each.
 
         **Raises** `ValueError`: a recording that cannot be simulated so.
+        """
+        interval = uniform_interval(recording.time)
+        start, memory, rows = self.begin(recording, settings)
+        path = _path(self, network, jnp.asarray(k), start, memory, rows, interval)
+        q, qd, change = (np.asarray(values)[:, 0] for values in path)
+        return q, qd, _at_samples(change[1:] / interval)
+
+    @abc.abstractmethod
+    def begin(
+        self, recording: Recording, settings: Settings
+    ) -> tuple[tuple[Array | np.ndarray, Array | np.ndarray], Any, Any]:
+        """Return positions and velocities (1, n) to start from, the memory that `after` has there,
+        and what it gets of each interval, a pytree of arrays.
+
+        **Raises** `ValueError` as `simulate`.
+        """
+
+    @abc.abstractmethod
+    def after(
+        self, advance: Advance, state: State, memory: Any, row: Any, interval: float
+    ) -> tuple[State, Array, Any]:
+        """Return the state after an interval, the change of velocity by torques, and the memory.
+
+        - `advance`: the motion of an interval under a torque; `row`: of `begin`.
         """
 
 
@@ -404,29 +427,20 @@ class ControlledMotion(AbstractSimulatedMotion):
     controller: Any
     reference: Any
 
-    def simulate(
-        self,
-        network: CSLC,
-        k: Float[np.ndarray, " coefficients"],
-        recording: Recording,
-        settings: Settings,
-    ) -> Derivatives:
-        """Simulate the arm under its controller; see `AbstractSimulatedMotion.simulate`."""
-        interval = uniform_interval(recording.time)
+    def begin(
+        self, recording: Recording, settings: Settings
+    ) -> tuple[tuple[np.ndarray, np.ndarray], Any, Any]:
+        """Return rest at the first position, the controller's memory, and rows of the reference."""
+        del settings
         for values in jax.tree.leaves(self.reference):
             if np.shape(values)[:1] != (recording.samples,):
                 raise ValueError(
                     f"the reference has an array of shape {np.shape(values)}; expected a first"
                     f" axis of {recording.samples} samples, those of the recording"
                 )
-        del settings
         first = recording.position[:1]
-        memory = self.controller.begin(jnp.asarray(first))
         rows = jax.tree.map(lambda values: values[:-1], self.reference)
-        start = first, np.zeros_like(first)
-        path = _path(self, network, jnp.asarray(k), start, memory, rows, interval)
-        q, qd, change = (np.asarray(values)[:, 0] for values in path)
-        return q, qd, _at_samples(change[1:] / interval)
+        return (first, np.zeros_like(first)), self.controller.begin(jnp.asarray(first)), rows
 
     def after(
         self, advance: Advance, state: State, memory: Any, row: Any, interval: float
@@ -470,23 +484,15 @@ class CorrectedMotion(AbstractSimulatedMotion):
         if not 0.0 < self.bandwidth < np.inf:
             raise ValueError(f"bandwidth is {self.bandwidth} Hz; expected a positive number")
 
-    def simulate(
-        self,
-        network: CSLC,
-        k: Float[np.ndarray, " coefficients"],
-        recording: Recording,
-        settings: Settings,
-    ) -> Derivatives:
-        """Simulate the arm with the correction; see `AbstractSimulatedMotion.simulate`."""
-        interval = uniform_interval(recording.time)
+    def begin(
+        self, recording: Recording, settings: Settings
+    ) -> tuple[tuple[np.ndarray, np.ndarray], None, Any]:
+        """Return the first smoothed state, and torques and readings of each interval."""
         q, qd, _ = settings.preparation.derivatives(recording)
-        middle = recording.time[:-1, None] + 0.5 * interval
+        middle = recording.time[:-1, None] + 0.5 * uniform_interval(recording.time)
         held = settings.preparation.torque_alignment != "sample"
         torque = applied_torque(recording, settings, middle, held=held)
-        rows = torque, recording.position[1:, None]
-        path = _path(self, network, jnp.asarray(k), (q[:1], qd[:1]), None, rows, interval)
-        q, qd, change = (np.asarray(values)[:, 0] for values in path)
-        return q, qd, _at_samples(change[1:] / interval)
+        return (q[:1], qd[:1]), None, (torque, recording.position[1:, None])
 
     def after(
         self, advance: Advance, state: State, memory: None, row: Any, interval: float
@@ -506,7 +512,7 @@ class CorrectedMotion(AbstractSimulatedMotion):
 
 @eqx.filter_jit
 def _path(
-    motion: Any,
+    motion: AbstractSimulatedMotion,
     network: CSLC,
     k: Array,
     start: tuple[Array | np.ndarray, Array | np.ndarray],
