@@ -22,20 +22,14 @@ from ._body import (
     body_map as body_map,
     body_of as body_of,
     body_of_pseudo_inertia as body_of_pseudo_inertia,
-    constrained as constrained,
     link_of as link_of,
     pseudo_inertia as pseudo_inertia,
 )
 from ._nearest_bodies import (
-    WEAK as WEAK,
     Fitted as Fitted,
-    NearestBodies as NearestBodies,
-    Optimum as Optimum,
     balls as balls,
-    by_discrepancy as by_discrepancy,
     nearest_body as nearest_body,
     prior_of as prior_of,
-    whitening as whitening,
 )
 from ._physical_parameters import (
     POSSIBILITY as POSSIBILITY,
@@ -57,7 +51,6 @@ from ._possible_fit import (
     possible_text as possible_text,
 )
 from ._prior import (
-    KNOWN_PARAMETERS as KNOWN_PARAMETERS,
     Known as Known,
     LinkKnowledge as LinkKnowledge,
     Prior as Prior,
@@ -69,14 +62,10 @@ from ._prior import (
 
 
 __all__ = [
-    "KNOWN_PARAMETERS",
     "POSSIBILITY",
-    "WEAK",
     "Fitted",
     "Known",
     "LinkKnowledge",
-    "NearestBodies",
-    "Optimum",
     "PhysicalParameters",
     "PossibleFit",
     "Prior",
@@ -85,13 +74,10 @@ __all__ = [
     "body_map",
     "body_of",
     "body_of_pseudo_inertia",
-    "by_discrepancy",
-    "constrained",
     "link_of",
     "load_prior",
     "nearest_body",
     "physical_parameters",
     "prior_of",
     "pseudo_inertia",
-    "whitening",
 ]

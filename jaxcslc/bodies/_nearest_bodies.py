@@ -45,27 +45,14 @@ class Fitted(Protocol):
 def whitening(
     fit: Fitted, sizes: Float[np.ndarray, " coefficients"]
 ) -> Float[np.ndarray, "rank coefficients"]:
-    """The matrix that turns a change of the coefficients into standard errors.
+    """Return the matrix that turns a change of the coefficients into standard errors.
 
-    The standard errors are those of independent residuals: the norm of the result is then also the
-    torque that the change causes over the patterns, in units of the residual.
+    They are those of independent residuals: the result's squared norm is what the change adds to
+    the sum of squared residuals, in units of their variance. A change along a combination that the
+    data do not determine costs nothing: the covariance is inverted on its range only. `sizes` are
+    those of typical coefficients.
 
-    A change along a combination that the data do not determine costs nothing: the covariance is
-    inverted on its range only, along the undetermined combinations. The result's squared norm is
-    what the change adds to the sum of squared residuals, in units of their variance.
-
-    **Arguments**
-
-    - `fit`: its coefficients, covariance and undetermined combinations.
-    - `sizes`: of typical coefficients, in their units.
-
-    **Returns**
-
-    - A matrix with one row for each determined combination.
-
-    **Raises**
-
-    - `ValueError`: if the coefficients or their covariance are not finite.
+    **Raises** `ValueError`: if the coefficients or their covariance are not finite.
     """
     # A covariance that allows for correlation is of low rank; torques are measured by the other.
     covariance = np.asarray(getattr(fit, "independent_covariance", fit.covariance), float)
@@ -443,14 +430,8 @@ the whole of it counts."""
 
 
 class Optimum(NamedTuple):
-    """Result of `NearestBodies.solve`.
-
-    **Attributes**
-
-    - `bodies`: ten numbers a link, without what is fixed to it.
-    - `others`: motor inertias, then the coefficients that are not inertial, in their units.
-    - `converged`: whether the solver says that it is the optimum.
-    """
+    """Bodies without what is fixed to them, the `others` of `NearestBodies` in their units, and
+    whether the solver says that they are the optimum."""
 
     bodies: Float[np.ndarray, "links 10"]
     others: Float[np.ndarray, " others"]
@@ -464,17 +445,10 @@ class NearestBodies:
     Coefficients are `body_columns · (bodies + fixed) + other_columns @ others`. The `others` are
     motor inertias, then all coefficients that are not inertial, in units of `scales`.
 
-    **Attributes**
-
-    - `robot`: whose links the bodies are.
-    - `k`: the fit's coefficients.
-    - `whitening`: the matrix that turns changes of coefficients into standard errors.
+    - `k`: the fit's coefficients; `whitening`: turns changes of them into standard errors.
     - `fixed`: bodies that are fixed to links and known.
-    - `prior`: bodies to keep to where the data say nothing.
-    - `body_columns`, `other_columns`: what multiplies the unknowns in every coefficient.
-    - `others`: the prior of the others, in units of `scales`.
+    - `prior`: bodies to keep to where the data say nothing; `others`: the same of the others.
     - `bounded`: 1 for others that cannot be negative.
-    - `scales`: units of the others.
     - `weight`: standard errors that a change of a body by its whole prior counts.
     - `known`: 1 for others that the prior knows: motor inertias of the robot's file. A motor
       inertia that it lacks is no measurement of zero, and counts by `WEAK` at most.
@@ -573,18 +547,9 @@ class NearestBodies:
         )
 
     def solve(self, least: float) -> Optimum | None:
-        """The nearest bodies; None if the solver fails.
+        """Return the nearest bodies with a part `least` of their prior; None if the solver fails.
 
         Full tensors make a convex programme. Principal axes do not, and have a search of their own.
-
-        **Arguments**
-
-        - `least`: part of its prior that every body holds at least.
-
-        **Raises**
-
-        - `ValueError`: for bodies fixed to links with principal axes.
-        - `ImportError`: without the conic solver, where it is needed.
         """
         if all(inertia.form == "full" for inertia in self.robot.inertia):
             optimum = self._convex(least)
@@ -723,15 +688,6 @@ def by_discrepancy(problem: NearestBodies, least: float) -> tuple[NearestBodies,
     guess. Where even the nearest possible bodies are d standard errors from the fit, the weight is
     the largest whose bodies are not further than sqrt(d² + 0.5²). Weights are powers of √10 from
     `WEAK` to 10. Bodies that are no robot's, as balls are, keep the weight `WEAK`.
-
-    **Arguments**
-
-    - `problem`: its `weight` does not matter.
-    - `least`: as of `NearestBodies.solve`.
-
-    **Returns**
-
-    - The programme with the weight, and its optimum; None if the solver fails.
     """
     weak = dataclasses.replace(problem, weight=WEAK)
     nearest = weak.solve(least)

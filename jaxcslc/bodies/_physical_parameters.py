@@ -155,8 +155,8 @@ def physical_parameters(
       as for a file format without it.
     - `prior_weight`: w, how many standard errors a change of a body by its whole prior counts. If
       omitted, the largest up to 10 whose bodies are as near to the fit as errors of the data let
-      the truth be (`jaxcslc.bodies.by_discrepancy`), or 0.01 where the prior is balls. Motor
-      inertias that the prior lacks, and friction, have a weight of 0.01 at most.
+      the truth be (the discrepancy principle, Morozov 1966), or 0.01 where the prior is balls.
+      Motor inertias that the prior lacks, and friction, have a weight of 0.01 at most.
     - `least`: every body holds at least this part of its prior: the eigenvalues of J̃ are no less.
     - `knowledge`: what is known of single parameters of links, from `Prior.link_values`.
 
