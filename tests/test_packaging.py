@@ -385,7 +385,7 @@ NEEDS_AN_EXTRA = {
         "bags",
     ),
     "from jaxcslc.plotting import _look; _look.new_figure(3, 2)": ("matplotlib.figure", "plot"),
-    "from jaxcslc.bodies import _nearest_body as s; s._conic_solver()": ("clarabel", "inertia"),
+    "from jaxcslc.bodies import _nearest_bodies as s; s._conic_solver()": ("clarabel", "inertia"),
 }
 
 

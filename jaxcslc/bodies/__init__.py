@@ -10,10 +10,9 @@ imply. The possible bodies solve a semidefinite programme (Sousa and Cortesão 2
 Modules, in reading order:
 
 - `_body`: ten numbers, pseudo-inertia, and coefficients as forms in them.
-- `_link_knowledge`, `_prior`: values, errors and bounds of coefficients and link parameters.
-- `_nearest_body`: semidefinite least squares, and one body nearest to an estimate.
-- `_nearest_bodies`: the programme of all links.
-- `_principal_programme`, `_bounded_least_squares`: search for links with principal axes.
+- `_prior`: values, errors and bounds of coefficients and link parameters.
+- `_nearest_bodies`: semidefinite least squares, of one body and of all links.
+- `_principal_programme`: search for links with principal axes.
 - `_physical_parameters`: link parameters of a fit.
 - `_possible_fit`: possible bodies compared with the unconstrained fit on held-out data.
 """
@@ -23,24 +22,15 @@ from ._body import (
     body_map as body_map,
     body_of as body_of,
     body_of_pseudo_inertia as body_of_pseudo_inertia,
-    constrained as constrained,
     link_of as link_of,
     pseudo_inertia as pseudo_inertia,
 )
-from ._link_knowledge import (
-    KNOWN_PARAMETERS as KNOWN_PARAMETERS,
-    Known as Known,
-    LinkKnowledge as LinkKnowledge,
-)
 from ._nearest_bodies import (
-    WEAK as WEAK,
-    NearestBodies as NearestBodies,
-    Optimum as Optimum,
+    Fitted as Fitted,
     balls as balls,
-    by_discrepancy as by_discrepancy,
+    nearest_body as nearest_body,
     prior_of as prior_of,
 )
-from ._nearest_body import Fitted as Fitted, nearest_body as nearest_body, whitening as whitening
 from ._physical_parameters import (
     POSSIBILITY as POSSIBILITY,
     PhysicalParameters as PhysicalParameters,
@@ -53,6 +43,7 @@ from ._possible_fit import (
     Choice as Choice,
     JudgedPart as JudgedPart,
     PossibleFit as PossibleFit,
+    held_out_of_parts as held_out_of_parts,
     judged_bodies as judged_bodies,
     moved_bodies as moved_bodies,
     other_masses as other_masses,
@@ -60,6 +51,8 @@ from ._possible_fit import (
     possible_text as possible_text,
 )
 from ._prior import (
+    Known as Known,
+    LinkKnowledge as LinkKnowledge,
     Prior as Prior,
     information_rows as information_rows,
     load_prior as load_prior,
@@ -69,14 +62,10 @@ from ._prior import (
 
 
 __all__ = [
-    "KNOWN_PARAMETERS",
     "POSSIBILITY",
-    "WEAK",
     "Fitted",
     "Known",
     "LinkKnowledge",
-    "NearestBodies",
-    "Optimum",
     "PhysicalParameters",
     "PossibleFit",
     "Prior",
@@ -85,13 +74,10 @@ __all__ = [
     "body_map",
     "body_of",
     "body_of_pseudo_inertia",
-    "by_discrepancy",
-    "constrained",
     "link_of",
     "load_prior",
     "nearest_body",
     "physical_parameters",
     "prior_of",
     "pseudo_inertia",
-    "whitening",
 ]

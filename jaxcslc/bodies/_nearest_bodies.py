@@ -1,20 +1,22 @@
-"""Programme that finds the bodies, motor inertias and friction nearest to a fit.
+"""Possible bodies nearest to a fit: semidefinite least squares, of one body and of all links.
 
-Full tensors make it semidefinite (`_nearest_body`); principal axes need a search
-(`_principal_programme`). `by_discrepancy` chooses the weight of the prior (Morozov 1966).
+`whitening` turns changes of coefficients into standard errors. Clarabel solves the cone
+programme of full tensors; principal axes have the search of `_principal_programme`.
 """
 
 import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
-from ..derivation import Algebra, Coefficient
+from .._environment import require
+from .._rank import numerical_rank
 from ..manipulator import Joint, LinkParameters, Manipulator
+from ..network import CSLC
 from ._body import (
     bodies_of,
     body_map,
@@ -24,9 +26,285 @@ from ._body import (
     principal_body,
     pseudo_inertia,
 )
-from ._link_knowledge import LinearKnowledge, LinkKnowledge, body_form, linear_knowledge
-from ._nearest_body import Fitted, in_units_of, semidefinite_least_squares, whitening
 from ._principal_programme import BodyChart, nearest_in_charts
+from ._prior import FINEST, LinearKnowledge, LinkKnowledge, body_form, linear_knowledge
+
+
+@runtime_checkable
+class Fitted(Protocol):
+    """Coefficients and their uncertainty: what an `Identification` and its file share."""
+
+    @property
+    def k(self) -> Float[Array | np.ndarray, " coefficients"]: ...
+    @property
+    def covariance(self) -> Float[Array | np.ndarray, "coefficients coefficients"]: ...
+    @property
+    def undetermined(self) -> Float[Array | np.ndarray, "rows coefficients"]: ...
+
+
+def whitening(
+    fit: Fitted, sizes: Float[np.ndarray, " coefficients"]
+) -> Float[np.ndarray, "rank coefficients"]:
+    """Return the matrix that turns a change of the coefficients into standard errors.
+
+    They are those of independent residuals: the result's squared norm is what the change adds to
+    the sum of squared residuals, in units of their variance. A change along a combination that the
+    data do not determine costs nothing: the covariance is inverted on its range only. `sizes` are
+    those of typical coefficients.
+
+    **Raises** `ValueError`: if the coefficients or their covariance are not finite.
+    """
+    # A covariance that allows for correlation is of low rank; torques are measured by the other.
+    covariance = np.asarray(getattr(fit, "independent_covariance", fit.covariance), float)
+    free = np.asarray(fit.undetermined, float)
+    if not np.all(np.isfinite(covariance)) or not np.all(np.isfinite(np.asarray(fit.k))):
+        raise ValueError("the fit's coefficients or covariance are not finite")
+    units = np.sqrt(np.maximum(np.diag(covariance), 0.0)) + FINEST * sizes
+    free = free[np.linalg.norm(free, axis=1) > 0] / units
+    if free.size:
+        free = free / np.linalg.norm(free, axis=1, keepdims=True)
+        free = np.linalg.svd(free, full_matrices=False)[2][: numerical_rank(free.T)]
+    scaled = covariance / np.outer(units, units)
+    scaled = (scaled + scaled.T) / 2 + np.diag((FINEST * sizes / units) ** 2)
+    # Numbers that changes along undetermined combinations leave as they are. The covariance's range
+    # would do as well, but beside a variance of infinity it cannot be told from rounding.
+    numbers = np.eye(len(units))
+    if free.size:
+        numbers = np.linalg.svd(free)[2][len(free) :]
+    values, vectors = np.linalg.eigh(numbers @ scaled @ numbers.T)
+    # Of a motion that is all rounding, variances are too, and may be below zero.
+    values = np.maximum(values, np.finfo(float).eps * len(values) * values[-1:])
+    return (vectors.T / np.sqrt(values)[:, None]) @ numbers / units
+
+
+# Entries of a symmetric matrix above its diagonal, column by column, and how a cone scales them so
+# that their products add up to the trace of a product.
+_UPPER = [(a, b) for b in range(4) for a in range(b + 1)]
+_DIAGONAL = np.array([float(a == b) for a, b in _UPPER])
+_TRIANGLE = np.where(_DIAGONAL > 0.0, 1.0, np.sqrt(2.0))
+
+
+def semidefinite_least_squares(
+    matrix: Float[np.ndarray, "rows unknowns"],
+    target: Float[np.ndarray, " rows"],
+    rows: Float[np.ndarray, "constraints unknowns"],
+    values: Float[np.ndarray, " constraints"],
+    *,
+    bodies: int,
+    bounded: Float[np.ndarray, " others"],
+    least: float,
+    above: Float[np.ndarray, "bounds unknowns"] | None = None,
+    limits: Float[np.ndarray, " bounds"] | None = None,
+) -> tuple[Float[np.ndarray, " unknowns"] | None, bool]:
+    """Minimise |matrix x - target|² with x = (X₁, …, Xₘ, y), rows @ x = values, every Xᵢ (4, 4)
+    symmetric with eigenvalues ≥ least, y ≥ 0 where `bounded` is not zero, above @ x ≥ limits.
+
+    Where no inequality is active, the optimum is that of a least-squares problem: that is tried
+    first, for it is exact where a conic solver is good to some eight digits.
+
+    **Returns** the optimum, None if the solver fails, and whether the solver says that it is one.
+    """
+    from scipy.linalg import solve_triangular
+
+    origin, span = _solutions(rows @ (expand := _expansion(bodies, len(bounded))), values)
+    origin, span = expand @ origin, expand @ span
+    stacked = np.concatenate([matrix @ span, (target - matrix @ origin)[:, None]], axis=1)
+    triangle: Any = np.linalg.qr(stacked, mode="r")  # says all that the equations say
+    size = span.shape[1]
+    inverse = solve_triangular(triangle[:size, :size], np.eye(size))
+    free = origin + span @ (inverse @ triangle[:size, size])
+    lowest = np.min(np.linalg.eigvalsh(free[: 16 * bodies].reshape(-1, 4, 4)))
+    within = above is None or limits is None or bool(np.all(above @ free >= limits))
+    if lowest >= least and np.all(free[16 * bodies :][bounded > 0] >= 0) and within:
+        return free, True
+
+    # From there, in steps that cost alike: what the data fix moves the bodies little. In the
+    # unknowns themselves the condition number would be that of the data.
+    steps = span @ inverse
+    others = 16 * bodies + np.flatnonzero(bounded)
+    slopes, starts = [steps[others]], [free[others]]
+    if above is not None and limits is not None:
+        slopes.append(above @ steps)
+        starts.append(above @ free - limits)
+    for body in range(bodies):
+        entries = 16 * body + np.array([4 * a + b for a, b in _UPPER])
+        slopes.append(_TRIANGLE[:, None] * steps[entries])
+        starts.append(_TRIANGLE * (free[entries] - least * _DIAGONAL))
+    inequalities = sum(map(len, slopes)) - len(_UPPER) * bodies
+    step, solved = _shortest(np.concatenate(slopes), np.concatenate(starts), inequalities, bodies)
+    return (None, False) if step is None else (free + steps @ step, solved)
+
+
+def _shortest(
+    slopes: Float[np.ndarray, "rows size"],
+    starts: Float[np.ndarray, " rows"],
+    inequalities: int,
+    bodies: int,
+) -> tuple[Float[np.ndarray, " size"] | None, bool]:
+    """The shortest x with starts + slopes @ x in a product of cones, by Clarabel.
+
+    - `inequalities`: the first rows, which are ≥ 0; behind them are scaled triangles of matrices.
+
+    **Returns** x, None where the solver fails, and whether the solver says that it is optimal.
+    """
+    solver = _conic_solver()
+    from scipy.sparse import csc_matrix
+
+    size = slopes.shape[1]
+    options = solver.DefaultSettings()
+    options.verbose = False
+    cones = [solver.NonnegativeConeT(inequalities)] if inequalities else []
+    cones += [solver.PSDTriangleConeT(4)] * bodies
+    # min ½ x'Px + q'x subject to Ax + s = b, s in the cones
+    problem = csc_matrix(2.0 * np.eye(size)), np.zeros(size), csc_matrix(-slopes), starts
+    solution = solver.DefaultSolver(*problem, cones, options).solve()
+    status = str(solution.status)
+    x = np.asarray(solution.x)
+    if status not in ("Solved", "AlmostSolved", "MaxIterations") or not np.all(np.isfinite(x)):
+        return None, False
+    return x, status == "Solved"
+
+
+def _conic_solver() -> Any:
+    """Import Clarabel by itself: a modelling library takes a second to import."""
+    return require("clarabel", "inertia")
+
+
+def _expansion(bodies: int, others: int) -> Float[np.ndarray, "unknowns independent"]:
+    """Return the matrix from ten independent entries of each symmetric matrix to all sixteen."""
+    expand = np.zeros((16 * bodies + others, 10 * bodies + others))
+    for body in range(bodies):
+        for entry, (a, b) in enumerate(_UPPER):
+            expand[16 * body + 4 * a + b, 10 * body + entry] = 1.0
+            expand[16 * body + 4 * b + a, 10 * body + entry] = 1.0
+    expand[16 * bodies :, 10 * bodies :] = np.eye(others)
+    return expand
+
+
+def _solutions(
+    rows: Float[np.ndarray, "constraints unknowns"], values: Float[np.ndarray, " constraints"]
+) -> tuple[Float[np.ndarray, " unknowns"], Float[np.ndarray, "unknowns free"]]:
+    """All x with rows @ x = values: one of them, and what can be added to it."""
+    if not len(rows):
+        return np.zeros(rows.shape[1]), np.eye(rows.shape[1])
+    lengths = np.linalg.norm(rows, axis=1)
+    lengths = np.where(lengths > 0.0, lengths, 1.0)
+    rows, values = rows / lengths[:, None], values / lengths
+    left, sizes, right = np.linalg.svd(rows)
+    rank = numerical_rank(rows.T)
+    return right[:rank].T @ ((left.T @ values)[:rank] / sizes[:rank]), right[rank:].T
+
+
+# Of aluminium [kg/m³]: how large the ball is that a body of unknown shape is compared with.
+_DENSITY = 2700.0
+_LIGHTEST = 1e-3  # kg
+# Farthest centre of the ball from the frame's origin [m]: an estimate of first moments without mass
+# has none.
+_FARTHEST = 1.0
+# Sizes of typical numbers of a body [kg m², kg m, kg].
+_SIZES = np.array([0.1] * 6 + [0.3] * 3 + [1.0])
+# Standard errors that a change by the whole ball counts: it decides what the data leave open.
+_WEIGHT = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class _Estimate:
+    k: Float[np.ndarray, "10"]
+    covariance: Float[np.ndarray, "10 10"]
+    undetermined: Float[np.ndarray, "rows 10"]
+
+
+def nearest_body(
+    body: Float[np.ndarray, "10"],
+    covariance: Float[np.ndarray, "10 10"],
+    undetermined: Float[np.ndarray, "rows 10"] | None = None,
+    *,
+    least: float = 1e-3,
+) -> Float[np.ndarray, "10"] | None:
+    """The body that can exist nearest to an estimate of its ten numbers (`BODY`).
+
+    The semidefinite programme of `physical_parameters` for one body: nearest in standard errors
+    of `covariance`, on the combinations that are determined; along the `undetermined` ones,
+    nearest to an aluminium ball of the estimate's mass around its centre. An estimate that can
+    exist is its own answer, but for rounding.
+
+    **Arguments**
+
+    - `body`, `covariance`: the estimate, and how uncertain it is.
+    - `undetermined`: combinations that the data do not determine; none if omitted.
+    - `least`: the body holds at least this part of such a ball (eigenvalues of its
+      pseudo-inertia, in units of the ball's).
+
+    **Returns**
+
+    - Ten numbers of the body; None if the solver fails.
+
+    **Raises**
+
+    - `ImportError`: without the conic solver, where the estimate cannot exist.
+
+    >>> import numpy as np
+    >>> body = nearest_body(np.array([-0.1, 1, 1, 0, 0, 0, 0.5, 0, 0, 2.0]), np.eye(10))
+    >>> bool(np.all(np.linalg.eigvalsh(pseudo_inertia(body)) > 0))
+    True
+    """
+    if undetermined is None:
+        undetermined = np.zeros((0, 10))
+    ball = _ball(body, covariance, undetermined)
+    unit = in_units_of(ball)
+    estimate = _Estimate(body, covariance, undetermined)
+    white = whitening(estimate, np.linalg.norm(unit, axis=1))
+    solution, _ = semidefinite_least_squares(
+        np.concatenate([white @ unit, _WEIGHT * np.eye(16)]),
+        np.concatenate([white @ body, _WEIGHT * np.eye(4).ravel()]),
+        np.zeros((0, 16)),
+        np.zeros(0),
+        bodies=1,
+        bounded=np.zeros(0),
+        least=least,
+    )
+    return None if solution is None else unit @ solution
+
+
+def in_units_of(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "10 16"]:
+    """Return the matrix from the entries of J̃ to the ten numbers of J = L J̃ Lᵀ.
+
+    L Lᵀ is the pseudo-inertia of `body`.
+    """
+    scale = np.linalg.cholesky(pseudo_inertia(body))
+    columns: list[np.ndarray] = []
+    for entry in np.eye(16):
+        matrix = scale @ entry.reshape(4, 4) @ scale.T
+        columns.append(body_of_pseudo_inertia((matrix + matrix.T) / 2))
+    return np.stack(columns, axis=1)
+
+
+def _ball(
+    body: Float[np.ndarray, "10"],
+    covariance: Float[np.ndarray, "10 10"],
+    undetermined: Float[np.ndarray, "rows 10"],
+) -> Float[np.ndarray, "10"]:
+    """A ball around the estimate's centre, of its mass or the mass's error, whichever is more.
+
+    Without what is not determined, or has an error larger than any body: there the estimate is
+    arbitrary, and a centre may be kilometres away. The ball is as heavy as its first moments need
+    it to be within 1 m.
+    """
+    error = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / _SIZES
+    scaled = body / _SIZES / (1.0 + error**2)
+    open_ = undetermined[np.linalg.norm(undetermined, axis=1) > 0] / _SIZES
+    if open_.size:
+        basis = np.linalg.svd(open_, full_matrices=False)[2][: numerical_rank(open_.T)]
+        scaled = scaled - basis.T @ (basis @ scaled)
+    moment = _SIZES[6:9] * scaled[6:9]
+    mass = max(
+        float(_SIZES[9] * scaled[9]),
+        float(_SIZES[9] * min(error[9], 1.0)),
+        float(np.linalg.norm(moment)) / _FARTHEST,
+        _LIGHTEST,
+    )
+    radius = (3.0 * mass / (4.0 * np.pi * _DENSITY)) ** (1.0 / 3.0)
+    return principal_body(mass, moment / mass, np.full(3, mass * radius**2 / 5.0))
 
 
 # A ball is at least this part of the robot's reach in radius, and no smaller than this [m].
@@ -37,7 +315,7 @@ _FILL = 0.02
 
 
 @dataclass(frozen=True)
-class PrincipalPrior:
+class PriorBodies:
     """Bodies and motor inertias to keep to where the data say nothing.
 
     **Attributes**
@@ -80,7 +358,7 @@ def prior_of(
     links: Sequence[LinkParameters],
     filler: Sequence[LinkParameters],
     fixed: Float[np.ndarray, "links 10"],
-) -> PrincipalPrior:
+) -> PriorBodies:
     """Links without what is fixed to them, made bodies where they are none.
 
     **Arguments**
@@ -102,7 +380,7 @@ def prior_of(
     # A light link's motor may be heavy: it is of the machine's size, as the lenders are.
     largest = np.maximum(possible, lenders)
     link_scales = np.where([kind == "R" for kind in robot.kinds], largest[:, 2], largest[:, 9])
-    return PrincipalPrior(possible, motors, np.where(motors > 0, motors, link_scales))
+    return PriorBodies(possible, motors, np.where(motors > 0, motors, link_scales))
 
 
 def _possible(
@@ -152,14 +430,8 @@ the whole of it counts."""
 
 
 class Optimum(NamedTuple):
-    """Result of `NearestBodies.solve`.
-
-    **Attributes**
-
-    - `bodies`: ten numbers a link, without what is fixed to it.
-    - `others`: motor inertias, then the coefficients that are not inertial, in their units.
-    - `converged`: whether the solver says that it is the optimum.
-    """
+    """Bodies without what is fixed to them, the `others` of `NearestBodies` in their units, and
+    whether the solver says that they are the optimum."""
 
     bodies: Float[np.ndarray, "links 10"]
     others: Float[np.ndarray, " others"]
@@ -170,20 +442,13 @@ class Optimum(NamedTuple):
 class NearestBodies:
     """The programme that finds the bodies, motor inertias and friction nearest to a fit.
 
-    Coefficients are `of_bodies · (bodies + fixed) + of_others @ others`. The `others` are motor
-    inertias, then all coefficients that are not inertial, in units of `scales`.
+    Coefficients are `body_columns · (bodies + fixed) + other_columns @ others`. The `others` are
+    motor inertias, then all coefficients that are not inertial, in units of `scales`.
 
-    **Attributes**
-
-    - `robot`: whose links the bodies are.
-    - `k`: the fit's coefficients.
-    - `whitening`: the matrix that turns changes of coefficients into standard errors.
+    - `k`: the fit's coefficients; `whitening`: turns changes of them into standard errors.
     - `fixed`: bodies that are fixed to links and known.
-    - `prior`: bodies to keep to where the data say nothing.
-    - `of_bodies`, `of_others`: what multiplies the unknowns in every coefficient.
-    - `others`: the prior of the others, in units of `scales`.
+    - `prior`: bodies to keep to where the data say nothing; `others`: the same of the others.
     - `bounded`: 1 for others that cannot be negative.
-    - `scales`: units of the others.
     - `weight`: standard errors that a change of a body by its whole prior counts.
     - `known`: 1 for others that the prior knows: motor inertias of the robot's file. A motor
       inertia that it lacks is no measurement of zero, and counts by `WEAK` at most.
@@ -195,9 +460,9 @@ class NearestBodies:
     k: Float[np.ndarray, " coefficients"]
     whitening: Float[np.ndarray, "rank coefficients"]
     fixed: Float[np.ndarray, "links 10"]
-    prior: PrincipalPrior
-    of_bodies: Float[np.ndarray, "coefficients links 10"]
-    of_others: Float[np.ndarray, "coefficients others"]
+    prior: PriorBodies
+    body_columns: Float[np.ndarray, "coefficients links 10"]
+    other_columns: Float[np.ndarray, "coefficients others"]
     others: Float[np.ndarray, " others"]
     bounded: Float[np.ndarray, " others"]
     scales: Float[np.ndarray, " others"]
@@ -209,30 +474,22 @@ class NearestBodies:
     @classmethod
     def from_fit(
         cls,
-        algebra: Algebra,
-        coefficients: Sequence[Coefficient],
+        network: CSLC,
         fit: Fitted,
+        prior: Sequence[LinkParameters] | None = None,
         *,
-        inertial: slice,
-        prior: Sequence[LinkParameters] | None,
         fixed: Sequence[LinkParameters | None] | None,
         weight: float,
-        motors: bool,
+        motors: bool = True,
         knowledge: Sequence[LinkKnowledge] = (),
     ) -> "NearestBodies":
-        """The programme of a fit.
-
-        **Arguments**
-
-        - `algebra`, `coefficients`: of the network.
-        - `inertial`: where the inertial ones are, `network.layout.inertial`.
-        - `fit`, `prior`, `fixed`, `weight`, `motors`, `knowledge`: as of `physical_parameters`.
+        """The programme of a fit; arguments are those of `physical_parameters`.
 
         **Raises**
 
         - `ValueError`: for a fit of another number of coefficients, or one that is not finite.
         """
-        robot, p = algebra.robot, len(coefficients)
+        robot, p, inertial = network.robot, network.size, network.layout.inertial
         k = np.asarray(fit.k, float)
         if k.shape != (p,):
             raise ValueError(f"fit: expected {p} coefficients, got an array of shape {k.shape}")
@@ -240,17 +497,17 @@ class NearestBodies:
         for i, link in enumerate(fixed or ()):
             if link is not None:
                 fixed_bodies[i] = bodies_of([link])[0]
-        inertial_of_bodies, of_motors = body_map(algebra)
+        inertial_of_bodies, of_motors = body_map(network.algebra)
         others = np.setdiff1d(np.arange(p), np.arange(p)[inertial])
         motor_mask = np.array([motors and inertia.motor for inertia in robot.inertia], bool)
         motor_count = int(motor_mask.sum())
-        of_bodies = np.zeros((p, *inertial_of_bodies.shape[1:]))
-        of_bodies[inertial] = inertial_of_bodies
+        body_columns = np.zeros((p, *inertial_of_bodies.shape[1:]))
+        body_columns[inertial] = inertial_of_bodies
 
         links = prior if prior is not None else robot.links
         if links is None:
             unit_balls = bodies_of(balls(robot, 1.0))
-            ball = balls(robot, _mass(fit, np.einsum("ple,le->p", of_bodies, unit_balls)))
+            ball = balls(robot, _mass(fit, np.einsum("ple,le->p", body_columns, unit_balls)))
             prior_bodies = prior_of(robot, ball, ball, 0.0 * fixed_bodies)
         else:
             masses = [float(link.mass) for link in links if float(link.mass) > 0]
@@ -262,24 +519,24 @@ class NearestBodies:
         scales = np.concatenate(
             [prior_bodies.motor_scales[motor_mask], np.where(sizes > 0, sizes, 1.0)]
         )
-        positive = np.array([c.positive for c in (coefficients[i] for i in others)], bool)
+        positive = np.array([network.coefficients[i].positive for i in others], bool)
         start = np.where(positive, np.maximum(k[others], 0.0), k[others])
-        of_others = np.zeros((p, len(scales)))
-        of_others[inertial, :motor_count] = of_motors[:, motor_mask]
-        of_others[others, motor_count:] = np.eye(len(others))
-        of_others *= scales
+        other_columns = np.zeros((p, len(scales)))
+        other_columns[inertial, :motor_count] = of_motors[:, motor_mask]
+        other_columns[others, motor_count:] = np.eye(len(others))
+        other_columns *= scales
         changes = [
-            of_bodies[:, i] @ in_units_of(body) for i, body in enumerate(prior_bodies.bodies)
+            body_columns[:, i] @ in_units_of(body) for i, body in enumerate(prior_bodies.bodies)
         ]
-        typical = np.linalg.norm(np.concatenate([*changes, of_others], axis=1), axis=1)
+        typical = np.linalg.norm(np.concatenate([*changes, other_columns], axis=1), axis=1)
         return cls(
             robot=robot,
             k=k,
             whitening=whitening(fit, np.where(typical > 0, typical, 1.0)),
             fixed=fixed_bodies,
             prior=prior_bodies,
-            of_bodies=of_bodies,
-            of_others=of_others,
+            body_columns=body_columns,
+            other_columns=other_columns,
             others=np.concatenate([prior_bodies.motors[motor_mask], start]) / scales,
             bounded=np.concatenate([np.ones(motor_count), 1.0 * positive]),
             scales=scales,
@@ -290,18 +547,9 @@ class NearestBodies:
         )
 
     def solve(self, least: float) -> Optimum | None:
-        """The nearest bodies; None if the solver fails.
+        """Return the nearest bodies with a part `least` of their prior; None if the solver fails.
 
         Full tensors make a convex programme. Principal axes do not, and have a search of their own.
-
-        **Arguments**
-
-        - `least`: part of its prior that every body holds at least.
-
-        **Raises**
-
-        - `ValueError`: for bodies fixed to links with principal axes.
-        - `ImportError`: without the conic solver, where it is needed.
         """
         if all(inertia.form == "full" for inertia in self.robot.inertia):
             optimum = self._convex(least)
@@ -320,8 +568,8 @@ class NearestBodies:
 
     def coefficients(self, optimum: Optimum) -> Float[np.ndarray, " coefficients"]:
         """The coefficients that an optimum implies."""
-        k = np.einsum("ple,le->p", self.of_bodies, optimum.bodies + self.fixed)
-        return k + self.of_others @ (optimum.others / self.scales)
+        k = np.einsum("ple,le->p", self.body_columns, optimum.bodies + self.fixed)
+        return k + self.other_columns @ (optimum.others / self.scales)
 
     @property
     def _other_weights(self) -> Float[np.ndarray, " others"]:
@@ -330,9 +578,9 @@ class NearestBodies:
     def _convex(self, least: float) -> Optimum | None:
         count = len(self.prior.bodies)
         units = [in_units_of(body) for body in self.prior.bodies]
-        columns = [self.of_bodies[:, i] @ unit for i, unit in enumerate(units)]
-        matrix = self.whitening @ np.concatenate([*columns, self.of_others], axis=1)
-        of_fixed = np.einsum("ple,le->p", self.of_bodies, self.fixed)
+        columns = [self.body_columns[:, i] @ unit for i, unit in enumerate(units)]
+        matrix = self.whitening @ np.concatenate([*columns, self.other_columns], axis=1)
+        of_fixed = np.einsum("ple,le->p", self.body_columns, self.fixed)
         wanted = np.concatenate([np.tile(np.eye(4).ravel(), count), self.others])
         rows: list[np.ndarray] = []
         values: list[float] = []
@@ -397,8 +645,8 @@ class NearestBodies:
         ]
         solution = nearest_in_charts(
             charts,
-            np.einsum("rp,ple->rle", self.whitening, self.of_bodies),
-            self.whitening @ self.of_others,
+            np.einsum("rp,ple->rle", self.whitening, self.body_columns),
+            self.whitening @ self.other_columns,
             self.whitening @ self.k,
             self.others,
             self.bounded,
@@ -440,15 +688,6 @@ def by_discrepancy(problem: NearestBodies, least: float) -> tuple[NearestBodies,
     guess. Where even the nearest possible bodies are d standard errors from the fit, the weight is
     the largest whose bodies are not further than sqrt(d² + 0.5²). Weights are powers of √10 from
     `WEAK` to 10. Bodies that are no robot's, as balls are, keep the weight `WEAK`.
-
-    **Arguments**
-
-    - `problem`: its `weight` does not matter.
-    - `least`: as of `NearestBodies.solve`.
-
-    **Returns**
-
-    - The programme with the weight, and its optimum; None if the solver fails.
     """
     weak = dataclasses.replace(problem, weight=WEAK)
     nearest = weak.solve(least)

@@ -17,9 +17,8 @@ from ..manipulator import LinkParameters, Manipulator, seen_from
 from ..network import CSLC
 from ..recordings import Patterns
 from ._body import bodies_of, constrained, link_of
-from ._link_knowledge import LinkKnowledge
-from ._nearest_bodies import WEAK, NearestBodies, by_discrepancy
-from ._nearest_body import Fitted
+from ._nearest_bodies import WEAK, Fitted, NearestBodies, by_discrepancy
+from ._prior import LinkKnowledge
 
 
 if TYPE_CHECKING:
@@ -38,7 +37,9 @@ class POSSIBILITY(eqx.Enumeration):
         "The solver stopped before it reached its accuracy: the parameters are possible, but"
         " there may be nearer ones."
     )
-    failed = "The solver failed to find possible parameters: check units, covariance and prior."
+
+
+_FAILED = "The solver failed to find possible parameters: check units, covariance and prior."
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,15 +64,10 @@ class PhysicalParameters:
       [N m or N]; NaN where no patterns were given.
     - `result`: a member of `POSSIBILITY`.
 
-    >>> import numpy as np, jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.linspace(0, 5, 500)[:, None]
-    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), *motion))
-    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
-    >>> fit = jc.LeastSquares().fit(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
-    >>> parameters = jc.physical_parameters(network, fit)
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.pendulum())
+    >>> patterns = jc.examples.swing(network, [0.5, 0.3, -0.1, 0.2, 0.05])
+    >>> parameters = jc.physical_parameters(network, jc.LeastSquares().fit(network, patterns))
     >>> bool(parameters.links[0].mass > 0), parameters.to_pandas().shape[0]
     (True, 1)
     """
@@ -87,16 +83,6 @@ class PhysicalParameters:
     distance: float
     torque_distance: Float[np.ndarray, " joints"]
     result: POSSIBILITY
-
-    @property
-    def viscous(self) -> Float[np.ndarray, "..."] | None:
-        """Viscous friction of each joint [N m s/rad]; None if the network has none."""
-        return self.friction.get("viscous")
-
-    @property
-    def dry(self) -> Float[np.ndarray, "..."] | None:
-        """Dry friction of each joint [N m]; None if the network has none."""
-        return self.friction.get("dry")
 
     def to_pandas(self) -> "pandas.DataFrame":
         """Return a table with one row per body, in the frames of the robot's file.
@@ -134,7 +120,6 @@ def physical_parameters(
     prior_weight: float | None = None,
     least: float = LEAST,
     knowledge: Sequence[LinkKnowledge] = (),
-    throw: bool = True,
 ) -> PhysicalParameters:
     """The physically possible masses, centres of gravity and inertia tensors nearest to a fit.
 
@@ -170,11 +155,10 @@ def physical_parameters(
       as for a file format without it.
     - `prior_weight`: w, how many standard errors a change of a body by its whole prior counts. If
       omitted, the largest up to 10 whose bodies are as near to the fit as errors of the data let
-      the truth be (`jaxcslc.bodies.by_discrepancy`), or 0.01 where the prior is balls. Motor
-      inertias that the prior lacks, and friction, have a weight of 0.01 at most.
+      the truth be (the discrepancy principle, Morozov 1966), or 0.01 where the prior is balls.
+      Motor inertias that the prior lacks, and friction, have a weight of 0.01 at most.
     - `least`: every body holds at least this part of its prior: the eigenvalues of J̃ are no less.
     - `knowledge`: what is known of single parameters of links, from `Prior.link_values`.
-    - `throw`: raise an error if the solver fails, instead of returning the result code.
 
     **Returns**
 
@@ -185,22 +169,18 @@ def physical_parameters(
     - `ValueError`: for a number of links or coefficients that is not the network's, for a weight
       or part out of range, for a fit that is not finite, and for bodies fixed to links with
       principal axes.
-    - `RuntimeError`: with `throw`, if the solver fails, as where no body has what is known of it.
+    - `RuntimeError`: if the solver fails, as where no body has what is known of it.
     - `ImportError`: without the conic solver (the extra `inertia`), where it is needed.
 
-    >>> import numpy as np, jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.pendulum())
     >>> [c.expression for c in network.coefficients[:3]]
-    ['Izz1 + Im1', 'm1*rx1', 'm1*ry1']
-    >>> class Fit:  # a moment of inertia that is negative
-    ...     k = np.array([-0.5, 0.3, 0.0, 0.2, 0.05])
-    ...     covariance = np.diag([0.4, 1e-3, 1e-3, 1e-3, 1e-3]) ** 2
-    ...     undetermined = np.zeros((5, 5))
-    >>> parameters = jc.physical_parameters(network, Fit())
-    >>> k = parameters.k
-    >>> bool(k[0] > 0), round(float(k[1]), 2), float(parameters.links[0].mass) > 0
-    (True, 0.3, True)
+    ['Izz1 + Im1', '-g*m1*ry1', 'g*m1*rx1']
+    >>> patterns = jc.examples.swing(network, [-0.1, 0.3, 0.0, 0.2, 0.05])  # inertia below zero
+    >>> torque = patterns.torque + 0.1 * np.random.default_rng(0).normal(size=(1000, 1))
+    >>> fit = jc.LeastSquares().fit(network, replace(patterns, torque=torque))
+    >>> bool(fit.k[0] < 0), bool(jc.physical_parameters(network, fit).k[0] > 0)
+    (True, True)
     """
     n = network.robot.joint_count
     for name, links in (("prior", prior), ("fixed", fixed)):
@@ -210,7 +190,7 @@ def physical_parameters(
         raise ValueError(f"prior_weight: expected a number above 0, got {prior_weight!r}")
     if not 0 < least < 1:
         raise ValueError(f"least: expected a number between 0 and 1, got {least!r}")
-    problem = _nearest_bodies(
+    problem = NearestBodies.from_fit(
         network,
         fit,
         prior=prior,
@@ -224,13 +204,8 @@ def physical_parameters(
     else:
         optimum = problem.solve(least)
     if optimum is None:
-        if throw:
-            raise RuntimeError(f"physical_parameters: {POSSIBILITY[POSSIBILITY.failed]}")
-        bodies, others = problem.prior.bodies, problem.others * problem.scales
-        code = POSSIBILITY.failed
-    else:
-        bodies, others, converged = optimum
-        code = POSSIBILITY.successful if converged else POSSIBILITY.inexact
+        raise RuntimeError(f"physical_parameters: {_FAILED}")
+    bodies, others, converged = optimum
 
     inertia = network.robot.inertia
     motor_mask = np.array([motors and kind.motor for kind in inertia], bool)
@@ -245,8 +220,8 @@ def physical_parameters(
         link_of(body, float(motor))
         for body, motor in zip(bodies_of(links) - problem.fixed, motor_inertias, strict=True)
     )
-    k = np.einsum("ple,le->p", problem.of_bodies, bodies_of(links))
-    k += problem.of_others @ (others / problem.scales)
+    k = np.einsum("ple,le->p", problem.body_columns, bodies_of(links))
+    k += problem.other_columns @ (others / problem.scales)
     return PhysicalParameters(
         network.names,
         links,
@@ -258,7 +233,7 @@ def physical_parameters(
         problem.weight,
         problem.distance(k),
         _torque_distance(network, k - problem.k, patterns),
-        code,
+        POSSIBILITY.successful if converged else POSSIBILITY.inexact,
     )
 
 
@@ -268,23 +243,11 @@ def distances_from(
     parameters: PhysicalParameters,
     patterns: Patterns,
 ) -> PhysicalParameters:
-    """Parameters with their distances from another fit than they were computed from.
+    """Return parameters with their distances from another fit than they were computed from.
 
-    **Arguments**
-
-    - `fit`: to measure from, (p,) coefficients with their covariance.
-    - `network`: n joints, p coefficients, those of the fit and of the parameters.
-    - `parameters`: as another estimator has fitted them.
     - `patterns`: motion (samples, n) that `torque_distance` is measured over.
-
-    **Returns** the parameters with `distance` [standard errors of the fit] and `torque_distance`
-    (n,) [N m or N] from this fit.
-
-    **Raises**
-
-    - `ValueError`: for a fit of another number of coefficients, or one that is not finite.
     """
-    problem = _nearest_bodies(
+    problem = NearestBodies.from_fit(
         network, fit, fixed=fixed_bodies(network.robot), weight=parameters.prior_weight
     )
     return replace(
@@ -305,35 +268,13 @@ def possible_coefficients(
 
     **Raises** as `physical_parameters`.
     """
-    problem = _nearest_bodies(network, fit, fixed=fixed, weight=prior_weight, knowledge=knowledge)
+    problem = NearestBodies.from_fit(
+        network, fit, fixed=fixed, weight=prior_weight, knowledge=knowledge
+    )
     optimum = problem.solve(LEAST)
     if optimum is None:
-        raise RuntimeError(f"possible bodies: {POSSIBILITY[POSSIBILITY.failed]}")
+        raise RuntimeError(f"possible bodies: {_FAILED}")
     return problem.coefficients(optimum)
-
-
-def _nearest_bodies(
-    network: CSLC,
-    fit: Fitted,
-    *,
-    fixed: Sequence[LinkParameters | None] | None,
-    weight: float,
-    prior: Sequence[LinkParameters] | None = None,
-    motors: bool = True,
-    knowledge: Sequence[LinkKnowledge] = (),
-) -> NearestBodies:
-    """The programme of `physical_parameters`, for a network's coefficients."""
-    return NearestBodies.from_fit(
-        network.algebra,
-        network.coefficients,
-        fit,
-        inertial=network.layout.inertial,
-        prior=prior,
-        fixed=fixed,
-        weight=weight,
-        motors=motors,
-        knowledge=knowledge,
-    )
 
 
 def fixed_bodies(robot: Manipulator) -> tuple[LinkParameters | None, ...] | None:

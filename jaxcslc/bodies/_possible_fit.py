@@ -10,14 +10,13 @@ from typing import Any, Literal, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from .._environment import MissingExtraError
 from ..least_squares import (
     FoldFit,
     HostColumns,
     Identification,
-    LeastSquares,
     columns_of,
     torque_by,
 )
@@ -28,10 +27,10 @@ from ..uncertainty import (
     RelativeError,
     Source,
     SystematicError,
+    fold_numbers,
     judged_errors,
     standard_uncertainty,
 )
-from ._link_knowledge import LinkKnowledge
 from ._physical_parameters import (
     PhysicalParameters,
     distances_from,
@@ -39,7 +38,7 @@ from ._physical_parameters import (
     physical_parameters,
     possible_coefficients,
 )
-from ._prior import Prior, with_knowledge
+from ._prior import LinkKnowledge, Prior, with_knowledge
 
 
 # A coefficient that moves by more combined standard errors is warned of: one in sixteen thousand
@@ -162,59 +161,25 @@ class JudgedPart(NamedTuple):
     fit: Identification | FoldFit
 
     @classmethod
-    def stretches(
-        cls, network: CSLC, patterns: Patterns, solver: LeastSquares, folds: int
-    ) -> tuple["JudgedPart", ...]:
-        """Stretches of equal length of one recording: those of `cross_validated_error`."""
-        fold = np.arange(patterns.samples) * folds // patterns.samples
+    def of(cls, network: CSLC, patterns: Patterns, fit: Identification | FoldFit) -> "JudgedPart":
+        """Return patterns, all of which a fit was not made from, as one part."""
         columns = columns_of(network, patterns)
-        fits = solver.fits_without_folds(network, patterns, fold, columns)
-        return cls._of(network, patterns, columns, fold, fits)
-
-    @classmethod
-    def held_out(
-        cls, network: CSLC, patterns: Patterns, fit: Identification, count: int
-    ) -> tuple["JudgedPart", ...]:
-        """Stretches of equal length of motion that a fit was not made from."""
-        stretch = np.arange(patterns.samples) * count // patterns.samples
-        return cls._of(network, patterns, columns_of(network, patterns), stretch, (fit,) * count)
-
-    @classmethod
-    def _of(
-        cls,
-        network: CSLC,
-        patterns: Patterns,
-        columns: HostColumns,
-        fold: Int[np.ndarray, " samples"],
-        fits: Sequence[Identification | FoldFit],
-    ) -> tuple["JudgedPart", ...]:
         torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
-        stretches = [slice(*np.searchsorted(fold, [i, i + 1]).tolist()) for i in range(len(fits))]
+        return cls(network.support, columns, torque, mask, fit)
+
+    def stretches(self, fits: Sequence[Identification | FoldFit]) -> tuple["JudgedPart", ...]:
+        """Cut the part into stretches of equal length, with a fit for each."""
+        fold = fold_numbers(len(self.torque), len(fits))
+        ends = np.searchsorted(fold, np.arange(len(fits) + 1)).tolist()
         return tuple(
-            cls(
-                network.support,
-                tuple(of_joint[:, rows] for of_joint in columns),
-                torque[rows],
-                mask[rows],
+            JudgedPart(
+                self.support,
+                tuple(of_joint[:, start:end] for of_joint in self.columns),
+                self.torque[start:end],
+                self.mask[start:end],
                 fit,
             )
-            for rows, fit in zip(stretches, fits, strict=True)
-        )
-
-    @classmethod
-    def recordings(
-        cls, network: CSLC, patterns: Mapping[str, Patterns], without: Mapping[str, Identification]
-    ) -> tuple["JudgedPart", ...]:
-        """Several recordings, and the fit without each."""
-        return tuple(
-            cls(
-                network.support,
-                columns_of(network, values),
-                np.asarray(values.torque),
-                np.asarray(values.mask),
-                without[name],
-            )
-            for name, values in patterns.items()
+            for start, end, fit in zip(ends, ends[1:], fits, strict=False)
         )
 
     def errors(
@@ -243,16 +208,11 @@ class PossibleFit:
       zero where the motion does not determine it.
     - `warnings`: about bodies that are far from the fit, a sentence each.
 
-    >>> import numpy as np, jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.arange(1000)[:, None] * 0.01
-    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
-    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
-    >>> recording = jc.Recording(t[:, 0], q, torque)
-    >>> report = jc.identify(network, recording, settings=jc.Settings())
-    >>> report.possible.used, report.possible.parameters.bodies[0].mass > 0
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.pendulum())
+    >>> recording = jc.examples.swing_recording(network, [0.5, 0.3, -0.1, 0.2, 0.05])
+    >>> possible = jc.identify(network, recording, settings=jc.Settings()).possible
+    >>> possible.used, bool(possible.parameters.bodies[0].mass > 0)
     (False, True)
     """
 
@@ -352,24 +312,11 @@ def possible_fit(
     their errors is below zero by more than the spread over parts explains (Student's t, one-sided,
     20 %), and by 1 % at least.
 
-    **Arguments**
-
-    - `network`: n joints, p coefficients.
-    - `fit`: of `training`.
-    - `parts`: two or more, of which `training` consists.
-    - `source`: what the parts are.
-    - `systematic`: of the fit, asked for at the end: added to the standard errors that movements
-      are counted in.
-    - `always`: use the bodies, whatever their errors.
-    - `knowledge`: what is known of single parameters of links.
+    - `parts`: two or more, of which `training` consists; `source`: what they are.
+    - `systematic`: of the fit, asked for at the end, for the errors that movements are counted in.
     - `parameters`: bodies that an estimator has fitted itself; those nearest to the fit if None.
-    - `step`: is called with a few words at the start of each step.
 
-    **Returns** a `PossibleFit`.
-
-    **Raises**
-
-    - `ValueError`, `RuntimeError`, `ImportError`: as `physical_parameters`.
+    **Raises** as `physical_parameters`.
     """
     step("fitting possible bodies")
     fixed = fixed_bodies(network.robot)
@@ -393,8 +340,8 @@ def possible_fit(
     errors = [part.errors(coefficients[id(part.fit)]) for part in parts]
     masks = [part.mask for part in parts]
     relative = RelativeError.of(errors, free_errors, masks)
-    held_out = _held_out(network, fit, parameters.k, parts, errors, source)
-    free_held_out = _held_out(network, fit, fit.k, parts, free_errors, source)
+    held_out = held_out_of_parts(network, fit, parameters.k, parts, source, errors)
+    free_held_out = held_out_of_parts(network, fit, fit.k, parts, source, free_errors)
     shifts = systematic()
     return PossibleFit(
         parameters,
@@ -422,19 +369,12 @@ def judged_bodies(
     parameters: PhysicalParameters | None = None,
     step: Callable[[str], None] = lambda _: None,
 ) -> tuple[PossibleFit | None, HeldOut | None, tuple[str, ...]]:
-    """Possible bodies as `identify` has them.
+    """Return possible bodies, held-out errors of the coefficients to use, and warnings.
 
-    - `fit`: with what is known of coefficients.
-    - `parts`: as of `possible_fit`, whose fits do not know it yet.
-    - the others: as of `identify` and `possible_fit`.
+    Bodies are None if they were not asked for or, with `"auto"`, could not be computed; errors are
+    None if nothing made parts necessary. `parts` do not know yet what `prior` says.
 
-    **Returns**
-
-    - Them, None if they were not asked for or, with `"auto"`, could not be computed.
-    - The held-out errors of the coefficients to use; None if nothing made parts necessary.
-    - Warnings.
-
-    **Raises** as `possible_fit`, but for `"auto"`.
+    **Raises** as `possible_fit`, except for `"auto"`.
     """
     prior = prior or Prior()
     known = prior.coefficient_values(network)
@@ -464,25 +404,27 @@ def judged_bodies(
         else:
             held_out = bodies.held_out if bodies.used else bodies.free_held_out
             return bodies, held_out, bodies.warnings
-    errors = [part.errors(part.fit.k) for part in informed]
-    return None, _held_out(network, fit, fit.k, informed, errors, source), warnings
+    return None, held_out_of_parts(network, fit, fit.k, informed, source), warnings
 
 
-def _held_out(
+def held_out_of_parts(
     network: CSLC,
     fit: Identification,
     k: Float[Array | np.ndarray, " coefficients"],
     parts: Sequence[JudgedPart],
-    errors: Sequence[np.ndarray],
     source: Source,
+    errors: Sequence[np.ndarray] | None = None,
 ) -> HeldOut:
-    """Compute held-out errors of coefficients `k`, from errors of fits without each part.
+    """Compute held-out errors of coefficients `k`; training errors are those of `k` on all parts.
 
-    Training errors are those of `k` on all parts.
+    - `errors`: of fits without each part; those of `JudgedPart.fit` if None.
     """
+    if errors is None:
+        errors = [part.errors(part.fit.k) for part in parts]
     mask = np.concatenate([part.mask for part in parts])
     training = np.concatenate([part.errors(k) for part in parts])
-    judged = judged_errors(training, mask, np.concatenate(errors), mask, int(fit.rank))
-    return dataclasses.replace(
-        judged, source=source, units=network.output_units, names=network.output_names
+    return judged_errors(
+        *(training, mask, np.concatenate(errors), mask, int(fit.rank)),
+        network=network,
+        source=source,
     )

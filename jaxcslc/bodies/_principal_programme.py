@@ -1,16 +1,19 @@
-"""Search for possible bodies with principal axes, in coordinates that keep them possible."""
+"""Search for possible bodies with principal axes, in coordinates that keep them possible.
+
+The search is Levenberg and Marquardt's within bounds (`bounded_least_squares`).
+"""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..manipulator import LinkInertia
-from ._body import body_of_pseudo_inertia, central_tensor, principal_body, pseudo_inertia
-from ._bounded_least_squares import bounded_least_squares
+from ._body import body_of_pseudo_inertia, central_tensor, pseudo_inertia
 
 
 _TOLERANCE = 1e-10
@@ -22,9 +25,9 @@ _LOWER = [(a, b) for a in range(4) for b in range(a + 1)]
 class BodyChart:
     """Coordinates of a body, each of order one, that are possible wherever their bounds hold.
 
-    A link with principal axes: mass, coordinates of the centre, and spread of mass along each
-    axis, equal spreads as one. A full tensor: a triangle M with J̃ = M Mᵀ + least, in units of
-    the prior's pseudo-inertia.
+    A link with principal axes (`_Charts` evaluates it): mass, coordinates of the centre, and spread
+    of mass along each axis, equal spreads as one. A full tensor: a triangle M with J̃ = M Mᵀ +
+    least, in units of the prior's pseudo-inertia.
 
     **Attributes**
 
@@ -65,31 +68,19 @@ class BodyChart:
         return cls(prior, scale, start, low, least, centre, spreads)
 
     def body(self, z: Float[np.ndarray, " coordinates"]) -> Float[np.ndarray, "10"]:
-        """Ten numbers of the body with coordinates z."""
-        if not self.spreads:
-            lower = self._lower(z)
-            return self._from_unit(lower @ lower.T + self.least * np.eye(4))
-        mass, centre, spread = self._principal(z)
-        return principal_body(mass, centre, spread)
+        """Ten numbers of the body with a full tensor that has coordinates z."""
+        lower = self._lower(z)
+        return self._from_unit(lower @ lower.T + self.least * np.eye(4))
 
     def jacobian(self, z: Float[np.ndarray, " coordinates"]) -> Float[np.ndarray, "10 coordinates"]:
-        """Derivatives of the ten numbers by the coordinates."""
+        """Derivatives of a full tensor's ten numbers by the coordinates."""
+        lower = self._lower(z)
         columns: list[np.ndarray] = []
-        if not self.spreads:
-            lower = self._lower(z)
-            for a, b in _LOWER:
-                change = np.zeros((4, 4))
-                change[a] = lower[:, b]
-                columns.append(self._from_unit(change + change.T))
-            return np.stack(columns, axis=1)
-        mass, centre, _ = self._principal(z)
-        full, radius = np.append(centre, 1.0), self.radius
-        columns.append(self.prior[9] * body_of_pseudo_inertia(np.outer(full, full)))
-        for axis in self.centre:
+        for a, b in _LOWER:
             change = np.zeros((4, 4))
-            change[axis] = mass * radius * full
-            columns.append(body_of_pseudo_inertia(change + change.T))
-        return np.stack([*columns, *self.by_spread], axis=1)
+            change[a] = lower[:, b]
+            columns.append(self._from_unit(change + change.T))
+        return np.stack(columns, axis=1)
 
     @cached_property
     def by_spread(self) -> list[Float[np.ndarray, "10"]]:
@@ -100,15 +91,6 @@ class BodyChart:
             change[list(axes), list(axes)] = np.mean(self._prior_spread[list(axes)])
             columns.append(body_of_pseudo_inertia(change))
         return columns
-
-    def _principal(
-        self, z: Float[np.ndarray, " coordinates"]
-    ) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        centre, spread = self.prior[6:9] / self.prior[9], self._prior_spread.copy()
-        centre[list(self.centre)] += self.radius * z[1 : 1 + len(self.centre)]
-        for value, axes in zip(z[1 + len(self.centre) :], self.spreads, strict=True):
-            spread[list(axes)] = value * np.mean(spread[list(axes)])
-        return float(z[0] * self.prior[9]), centre, spread
 
     @cached_property
     def _prior_spread(self) -> Float[np.ndarray, "3"]:
@@ -219,11 +201,7 @@ def nearest_in_charts(
 
     Minimises |of_bodies · bodies + of_others · y - target|² + |weights (z - start)|². z are the
     bodies' coordinates and y; y ≥ 0 where `bounded`. The problem is not convex; the search starts
-    at the prior.
-
-    **Returns**
-
-    - Bodies, y, and whether the search converged.
+    at the prior. **Returns** bodies, y, and whether the search converged.
     """
     start = np.concatenate(
         [
@@ -252,3 +230,88 @@ def nearest_in_charts(
         residual, jacobian, start, low, tolerance=_TOLERANCE, evaluations=_EVALUATIONS
     )
     return together.bodies(optimum.x), optimum.x[size:], optimum.converged
+
+
+Vector = Float[np.ndarray, " unknowns"]
+
+# Damping, added to the diagonal of the normal equations: at first, and its least.
+_DAMPING, _LEAST_DAMPING = 1e-3, 1e-12
+# A step that keeps less or more than these parts of what it promised changes the damping.
+_POOR, _GOOD = 0.25, 0.75
+_GROWTH, _DECAY = 2.0, 5.0
+
+
+class BoundedMinimum(NamedTuple):
+    """Minimum of a sum of squares within bounds, its value, and whether the search converged."""
+
+    x: Vector
+    value: float
+    converged: bool
+
+
+def bounded_least_squares(
+    residual: Callable[[Vector], Float[np.ndarray, " rows"]],
+    jacobian: Callable[[Vector], Float[np.ndarray, "rows unknowns"]],
+    start: Vector,
+    low: Vector,
+    *,
+    tolerance: float,
+    evaluations: int,
+) -> BoundedMinimum:
+    """Minimise |residual(x)|² within x ≥ low: Levenberg and Marquardt's method with an active set.
+
+    Unknowns at their bound whose gradient points outwards stay there; others that a step would
+    carry beyond theirs stop at it, and the step is computed anew for those that remain. (Marquardt
+    1963.)
+
+    - `jacobian`: of full rank; unknowns are of order one.
+    - `tolerance`: the search ends where a step promises less than this part of the value, or moves
+      the unknowns by less than this part of their length.
+    - `evaluations`: of the residual, at most.
+    """
+    x = np.maximum(start, low)
+    errors = residual(x)
+    value, damping = float(errors @ errors), _DAMPING
+    columns = jacobian(x)
+    for _ in range(evaluations - 1):
+        gradient, normal = columns.T @ errors, columns.T @ columns
+        at_bound = (x <= low) & (gradient >= 0.0)
+        damped = normal + damping * np.eye(len(x))
+        step = _step(damped, gradient, low - x, at_bound)
+        promise = -float(step @ (2.0 * gradient + normal @ step))
+        if promise <= tolerance * value and damping <= _DAMPING:
+            return BoundedMinimum(x, value, True)
+        if np.linalg.norm(step) <= tolerance * (tolerance + np.linalg.norm(x)):
+            return BoundedMinimum(x, value, True)
+        moved = np.maximum(x + step, low)
+        errors_there = residual(moved)
+        value_there = float(errors_there @ errors_there)
+        part = (value - value_there) / promise if promise > 0.0 else 0.0
+        if not part >= _POOR:
+            damping *= _GROWTH
+        elif part > _GOOD:
+            damping = max(damping / _DECAY, _LEAST_DAMPING)
+        if value_there < value:
+            x, errors, value = moved, errors_there, value_there
+            columns = jacobian(x)
+    return BoundedMinimum(x, value, False)
+
+
+def _step(
+    matrix: Float[np.ndarray, "unknowns unknowns"],
+    gradient: Vector,
+    least: Vector,
+    at_bound: Bool[np.ndarray, " unknowns"],
+) -> Vector:
+    """The step that solves the damped normal equations and is nowhere less than `least`."""
+    step, free = np.zeros(len(gradient)), ~at_bound
+    while np.any(free):
+        inner = np.ix_(free, free)
+        target = gradient[free] + matrix[np.ix_(free, ~free)] @ step[~free]
+        step[free] = -np.linalg.solve(matrix[inner], target)
+        beyond = free & (step < least)
+        if not np.any(beyond):
+            break
+        step[beyond] = least[beyond]
+        free &= ~beyond
+    return step

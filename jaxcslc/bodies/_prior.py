@@ -1,10 +1,14 @@
-"""Prior knowledge of coefficients and links: TOML files, and fits that take it into account."""
+"""Knowledge before an identification: of coefficients, and of single parameters of links.
+
+`Prior` is read from TOML files. `linear_knowledge` turns what is known of links into equations of
+the programme in `_nearest_bodies`; `with_knowledge` adds what is known of coefficients to a fit.
+"""
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, NamedTuple, overload
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,7 +21,147 @@ from .._toml_document import toml_document
 from ..least_squares import RESULTS, FoldFit, Identification
 from ..manipulator import Manipulator
 from ..network import AbstractLinearNetwork
-from ._link_knowledge import KNOWN_PARAMETERS, Known, LinkKnowledge
+
+
+KNOWN_PARAMETERS = ("mass", "rx", "ry", "rz", "motor_inertia")
+"""Parameters of a link that equations linear in a body's ten numbers can fix or bound."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Known:
+    """Knowledge of a number: a value with its standard error, and bounds.
+
+    **Attributes**
+
+    - `value`: None if only bounds are known.
+    - `error`: standard error of the value; with 0, the default, the number is fixed.
+    - `low`, `high`: bounds; infinite where there is none.
+
+    **Raises**
+
+    - `ValueError`: neither a value nor a bound, a negative error, an error without a value, or
+      bounds that leave no room for the value.
+
+    >>> from jaxcslc.bodies import Known
+    >>> print(Known(2.4, 0.1)), print(Known(0.5)), print(Known(low=0.0))
+    2.4 ± 0.1
+    fixed at 0.5
+    from 0 to inf
+    (None, None, None)
+    """
+
+    value: float | None = None
+    error: float = 0.0
+    low: float = -math.inf
+    high: float = math.inf
+
+    def __post_init__(self) -> None:
+        bounded = self.low > -math.inf or self.high < math.inf
+        if self.value is None and not bounded:
+            raise ValueError("expected a value or a bound")
+        if not 0.0 <= self.error < math.inf:
+            raise ValueError(f"error: expected 0 or more, got {self.error}")
+        if self.value is None and self.error:
+            raise ValueError("error: expected a value that it is of")
+        if not self.low < self.high:
+            raise ValueError(f"low: expected less than high, got {self.low} and {self.high}")
+        if self.value is not None and not self.low <= self.value <= self.high:
+            raise ValueError(f"value: expected from {self.low} to {self.high}, got {self.value}")
+
+    @property
+    def fixed(self) -> bool:
+        """True if the number is a value without error."""
+        return self.value is not None and self.error == 0.0
+
+    def document(self) -> dict[str, float]:
+        """Return the entries that are set, as plain data."""
+        entries = {"value": self.value, "low": self.low, "high": self.high}
+        known = {k: v for k, v in entries.items() if v is not None and math.isfinite(v)}
+        return known | ({"error": self.error} if self.error else {})
+
+    def __str__(self) -> str:
+        bounds = ""
+        if self.low > -math.inf or self.high < math.inf:
+            bounds = f"from {self.low:g} to {self.high:g}"
+        if self.value is None:
+            return bounds
+        value = f"fixed at {self.value:g}" if self.fixed else f"{self.value:g} ± {self.error:g}"
+        return f"{value}, {bounds}" if bounds else value
+
+
+class LinkKnowledge(NamedTuple):
+    """Knowledge of one parameter of a link.
+
+    - `link`: its number, from 0.
+    - `parameter`: one of `KNOWN_PARAMETERS`.
+    - `known`: its value, error and bounds.
+    """
+
+    link: int
+    parameter: str
+    known: Known
+
+
+class LinearKnowledge(NamedTuple):
+    """Equations and inequalities in the unknowns of a programme.
+
+    - `soft`, `target`: rows that should equal the target, in units of their standard error.
+    - `rows`, `values`: rows that do equal the values.
+    - `above`, `least`: rows that are no less than `least`.
+    """
+
+    soft: Float[np.ndarray, "soft unknowns"]
+    target: Float[np.ndarray, " soft"]
+    rows: Float[np.ndarray, "fixed unknowns"]
+    values: Float[np.ndarray, " fixed"]
+    above: Float[np.ndarray, "bounds unknowns"]
+    least: Float[np.ndarray, " bounds"]
+
+
+def linear_knowledge(
+    knowledge: Sequence[LinkKnowledge],
+    row_of: Callable[[LinkKnowledge, float], Float[np.ndarray, " unknowns"]],
+    masses: Float[np.ndarray, " links"],
+    unknowns: int,
+) -> LinearKnowledge:
+    """Equations of all that is known.
+
+    - `row_of`: the row whose product with the unknowns is the parameter less a value, of a centre
+      of gravity times the mass; the value's share is in its last entry, behind the unknowns.
+    - `masses`: of the links, which make errors of centres of gravity those of first moments.
+    """
+    soft, rows, above = ([np.zeros((0, unknowns + 1))] for _ in range(3))
+    for entry in knowledge:
+        known = entry.known
+        if known.value is not None:
+            row = row_of(entry, known.value)[None]
+            if known.fixed:
+                rows.append(row)
+            else:
+                size = masses[entry.link] if entry.parameter.startswith("r") else 1.0
+                soft.append(row / (known.error * size))
+        if known.low > -math.inf:
+            above.append(row_of(entry, known.low)[None])
+        if known.high < math.inf:
+            above.append(-row_of(entry, known.high)[None])
+    parts = [np.concatenate(part) for part in (soft, rows, above)]
+    return LinearKnowledge(*(array for part in parts for array in (part[:, :-1], -part[:, -1])))
+
+
+def body_form(
+    parameter: str, value: float, placement: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "10"]:
+    """The form in a body's ten numbers that vanishes if a coordinate of its centre has a value.
+
+    - `parameter`: `"rx"`, `"ry"` or `"rz"`, in the frame that `placement` has in the link's.
+    """
+    axis = "xyz".index(parameter[1])
+    rotation, origin = placement[:3, :3], placement[:3, 3]
+    form = np.zeros(10)
+    # The first moment in the other frame is Rᵀ(h - m p).
+    form[6:9] = rotation[:, axis]
+    form[9] = -rotation[:, axis] @ origin - value
+    return form
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,16 +303,9 @@ def load_prior(path: str | Path) -> Prior:
 
 
 def prior_from(document: Mapping[str, Any], where: str) -> Prior:
-    """Return what is known before, from tables as `Prior.document` returns them.
+    """Return what is known before, from tables as `Prior.document` returns them, read at `where`.
 
-    **Arguments**
-
-    - `document`: with entries `coefficients` and `links`, either of which may be missing.
-    - `where`: they were read, for messages.
-
-    **Raises**
-
-    - `ValueError`: they hold something else; the message names the entry.
+    **Raises** `ValueError`: they hold something else; the message names the entry.
     """
     if unknown := sorted(document.keys() - {"coefficients", "links"}):
         raise ValueError(f"{where}: unknown entry {unknown[0]!r}; expected coefficients or links")
@@ -213,8 +350,9 @@ def _known(value: Any, where: str) -> Known:
 _SHARE = 1e-6
 # Singular values below this part of the largest are rounding of the fit's covariance.
 _SMALLEST = 1e-9
-# Standard errors are taken as no less than this part of their coefficient.
-_FINEST = 1e-6
+# Noise-free coefficients have a covariance of rounding. Standard errors are taken as no less than
+# this part of the coefficient (of that which an average body would cause): finer is beyond solvers.
+FINEST = 1e-6
 
 
 @overload
@@ -311,12 +449,9 @@ def with_knowledge(
 def information_rows(
     fit: Identification | FoldFit, k: Float[np.ndarray, " coefficients"]
 ) -> Float[np.ndarray, "rank coefficients"]:
-    """Rows whose product with a change of the coefficients is that of the fit's equations, up to a
-    rotation, in units of the residual.
+    """Return rows whose product with a change of coefficients `k` is that of the fit's equations.
 
-    **Arguments**
-
-    - `fit`: an `Identification` or a fit without a fold; `k`: (p,) its coefficients.
+    Up to a rotation, in units of the residual.
 
     A change is one within the covariance's range and one that the fit leaves open. The former
     counts by the inverse of the covariance, the latter not at all. Neither rank is guessed.
@@ -328,9 +463,9 @@ def information_rows(
     error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     # Of coefficients that nothing depends on, values and errors are rounding.
     rounding = error + np.abs(k) < _SMALLEST * np.max(error + np.abs(k), initial=0.0)
-    units = np.where(rounding, 1.0, error + _FINEST * np.abs(k))
+    units = np.where(rounding, 1.0, error + FINEST * np.abs(k))
     scaled = covariance / np.outer(units, units)
-    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2 + _FINEST**2 * np.eye(len(k)))
+    values, vectors = np.linalg.eigh((scaled + scaled.T) / 2 + FINEST**2 * np.eye(len(k)))
     basis = np.linalg.qr((open_rows / units).T)[0] if len(open_rows) else np.zeros((len(k), 0))
     parts = np.linalg.inv(np.concatenate([vectors[:, len(k) - rank :], basis], axis=1))
     rows = parts[:rank] / np.sqrt(values[len(k) - rank :])[:, None]

@@ -85,7 +85,7 @@ def _written_c(saved: Report, output: Path | None) -> str:
         code = c_code(saved.network, saved.fit.k)
     else:
         states = saved.pre_sliding
-        code = c_code(states.network, states.fit.k, lengths=states.lengths)
+        code = c_code(states.network, states.fit.k, lengths=states.presliding_distance)
     source, header = write_c(code, output)
     counts = ", ".join(f"{name} {count}" for name, count in code.operations.items())
     note = _pre_sliding(

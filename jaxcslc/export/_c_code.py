@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..codegen import Expressions, KernelText, Motion, Value
-from ..friction import checked_lengths, state_after
+from ..friction import checked_distance, state_after
 from ..network import CSLC, ExpressionFunctions, term_entries
 from ._rigid_body import RigidBodies, rigid_bodies
 
@@ -439,14 +439,15 @@ def c_code(
 
         void NAME_pre_sliding(const double dq[n], const double w[n], double next[n])
 
-    with what joints have moved by, as `identification.pre_sliding` does.
+    with what joints have moved by, as `jaxcslc.friction.contact_states` does.
 
     **Arguments**
 
     - `network`, `k`: (p,) its coefficients, such as `fit.k`.
     - `name`: a C identifier; made of the robot's name if omitted.
     - `lengths`: (n,) of pre-sliding [rad or m], 0 where dry friction follows the sign of velocity,
-      such as `report.pre_sliding.lengths` beside `k=report.pre_sliding.fit.k`; zeros if None.
+      such as `report.pre_sliding.presliding_distance` beside `k=report.pre_sliding.fit.k`; zeros if
+      None.
 
     **Returns**
 
@@ -481,7 +482,7 @@ def c_code(
     name = identifier(network.robot.name) if name is None else name
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or name in _RESERVED:
         raise ValueError(f"name: expected a C identifier, got {name!r}")
-    sizes = checked_lengths(network, np.zeros(network.joint_count) if lengths is None else lengths)
+    sizes = checked_distance(network, np.zeros(network.joint_count) if lengths is None else lengths)
     functions = c_functions(network, values, sizes)
     return CCode(
         name,

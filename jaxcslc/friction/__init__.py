@@ -4,41 +4,39 @@ In: a network with friction terms, and patterns. Out: fits with the nonlinear pa
 
 - `_slopes`: slopes of static friction.
 - `_load`: friction that grows with the load; uses `_slopes`.
-- `_yielding_friction`: states of pre-sliding (Dahl) friction along a motion.
-- `_pre_sliding`, `_saved_pre_sliding`: lengths of pre-sliding, fitted and saved.
+- `_pre_sliding`: states of pre-sliding (Dahl) friction along a motion, fitted and saved.
 """
 
-from ._load import LoadFit as LoadFit, fit_load as fit_load, linearised as linearised
+from ._load import (
+    LoadFit as LoadFit,
+    fit_load as fit_load,
+    linearised as linearised,
+    regress_friction as regress_friction,
+)
 from ._pre_sliding import (
     PreSlidingFit as PreSlidingFit,
+    along_motion as along_motion,
+    checked_distance as checked_distance,
+    contact_states as contact_states,
+    dry_term as dry_term,
     fit_pre_sliding as fit_pre_sliding,
-    yielding_motion as yielding_motion,
-)
-from ._regression import regress_friction as regress_friction
-from ._saved_pre_sliding import (
+    has_states as has_states,
     pre_sliding_document as pre_sliding_document,
     pre_sliding_from as pre_sliding_from,
-)
-from ._slopes import SlopeFit as SlopeFit, fit_slopes as fit_slopes
-from ._yielding_friction import (
-    along_motion as along_motion,
-    checked_lengths as checked_lengths,
-    dry_term as dry_term,
-    has_states as has_states,
-    pre_sliding as pre_sliding,
     split_friction as split_friction,
     state_after as state_after,
     state_at as state_at,
 )
+from ._slopes import SlopeFit as SlopeFit, fit_slopes as fit_slopes
 
 
 __all__ = [
     "LoadFit",
     "PreSlidingFit",
     "SlopeFit",
+    "contact_states",
     "fit_load",
     "fit_pre_sliding",
     "fit_slopes",
-    "pre_sliding",
     "regress_friction",
 ]

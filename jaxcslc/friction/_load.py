@@ -1,4 +1,4 @@
-"""Fit of friction in proportion to the load, by linearised equations."""
+"""Fits of friction beside slopes: friction in proportion to the load, and friction alone."""
 
 import dataclasses
 
@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..least_squares import Identification, LeastSquares, settled
+from ..least_squares import Fixed, Identification, LeastSquares, settled
 from ..network import CSLC, DIRECTIONAL_LOAD, LoadedRigidBody
 from ..recordings import Patterns
 from ._slopes import SlopeFit, fit_slopes
@@ -34,18 +34,6 @@ class LoadFit(eqx.Module):
     - `steps`: of the search; `converged`: whether it ended by its own rule.
     - `dropped`: joints, counted from 1, whose coefficient is not between 0 and 1.
     - `warnings`: one sentence for each of them, and one if the search did not converge.
-
-    >>> import numpy as np, jaxcslc as jc
-    >>> from jaxcslc.friction import fit_load
-    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(robot.with_friction("dry", "load"), lengths="numeric")
-    >>> t = np.linspace(0, 20, 1000)[:, None]
-    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
-    >>> k = np.array([0.5, 0.3, -0.1, 0.2, -0.15])  # friction that would drive
-    >>> torque = np.asarray(network.with_load(k).torque(k, *motion))
-    >>> result = fit_load(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
-    >>> result.dropped, result.network.names
-    ((1,), ('kB1', 'kB2', 'kB3', 'kd1'))
     """
 
     network: CSLC
@@ -85,15 +73,15 @@ def fit_load(network: CSLC, patterns: Patterns, *, solver: LeastSquares | None =
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.friction import fit_load
-    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(robot.with_friction("dry", "load"), lengths="numeric")
-    >>> t = np.linspace(0, 20, 1000)[:, None]
-    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
+    >>> network = jc.derive(jc.examples.pendulum("dry", "load"))
     >>> k = np.array([0.5, 0.3, -0.1, 0.2, 0.15])
-    >>> torque = np.asarray(network.with_load(k).torque(k, *motion))
-    >>> result = fit_load(network, jc.Patterns(t[:, 0], *motion, torque, pairs, pairs))
-    >>> result.converged, np.round(np.asarray(result.fit.k), 6).tolist()
+    >>> result = fit_load(network, jc.examples.swing(network.with_load(k), k))
+    >>> result.converged, result.fit.k.round(6).tolist()
     (True, [0.5, 0.3, -0.1, 0.2, 0.15])
+    >>> k[-1] = -0.15  # friction that would drive
+    >>> result = fit_load(network, jc.examples.swing(network.with_load(k), k))
+    >>> result.dropped, result.network.names
+    ((1,), ('kM1', 'kG1', 'kG2', 'kd1'))
     """
     if not network.load_terms:
         raise ValueError(f"{network.name!r} has no friction of kind 'load' to be fitted")
@@ -209,3 +197,37 @@ def _impossible(network: CSLC, fit: Identification) -> dict[str, dict[int, str]]
                 sentences = impossible.setdefault(term.kind, {})
                 sentences[joint + 1] = f"{name}: friction of kind {term.kind!r} dropped, {why}"
     return impossible
+
+
+def regress_friction(
+    network: CSLC, patterns: Patterns, k: Float[Array | np.ndarray, " k"]
+) -> Float[Array, " k"]:
+    """Regress friction alone, with fixed rigid-body coefficients (Eqn. 7.6-1).
+
+    The thesis calls the result Ar+Rg, for Armstrong's coefficients: the torque that rigid-body
+    coefficients do not explain is regressed against the friction inputs of each joint, over the
+    samples in the mask.
+
+    **Arguments**
+
+    - `network`: p coefficients.
+    - `patterns`: motion and torque of the training recording.
+    - `k`: (p,); its friction coefficients are not used.
+
+    **Returns** (p,): `k` with the regressed friction coefficients.
+
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.pendulum())
+    >>> patterns = jc.examples.swing(network, [0.5, 0.3, -0.1, 0.2, 0.05])
+    >>> wrong = np.array([0.5, 0.3, -0.1, 9.0, 9.0])
+    >>> jc.regress_friction(network, patterns, wrong).round(6).tolist()
+    [0.5, 0.3, -0.1, 0.2, 0.05]
+    """
+    rigid = network.without_friction(jnp.asarray(k))
+    names = [network.names[index] for index in network.layout.friction]
+    if not names:
+        return rigid
+    solver = LeastSquares(joint_weights="equal", errors="independent")
+    fixed = Fixed.except_for(network, rigid, names)
+    equations = solver.equations(network, patterns)  # on the host: nothing to compile
+    return solver.fit_equations(equations, patterns.samples, fixed, throw=False).k

@@ -2,19 +2,18 @@
 
 recordings ──► Problem ──► estimators ──► judgement ──► Report
 
-- `_identify`: the pipeline.
+- `_identify`: the pipeline, and estimators by name.
 - `_problem`: settings, patterns and what is known.
-- `_estimator`, `_registry`: estimators by name.
+- `_estimator`, `_least_squares`, `_maximum_likelihood`: estimators.
 - `_exclusions`: what is not combined, one table.
+- `_torque_constants`: torque per motor current.
 """
 
 from ._estimator import AbstractEstimator as AbstractEstimator, Fit as Fit
-from ._identify import identify as identify
-from ._instruments import SimulatedMotion as SimulatedMotion
-from ._least_squares import Regression as Regression
+from ._identify import ESTIMATORS as ESTIMATORS, identify as identify
+from ._least_squares import Regression as Regression, SimulatedMotion as SimulatedMotion
 from ._maximum_likelihood import Likelihood as Likelihood
 from ._problem import recording_named as recording_named
-from ._registry import ESTIMATORS as ESTIMATORS
 from ._torque_constants import (
     TorqueConstants as TorqueConstants,
     fit_torque_constants as fit_torque_constants,

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..bodies import PossibleFit, with_knowledge
-from ..friction import PreSlidingFit, SlopeFit, along_motion
+from ..bodies import with_knowledge
+from ..friction import along_motion
 from ..least_squares import Identification, Settings, torque_of
-from ..likelihood import EstimatorComparison, LikelihoodFit, Misfit
+from ..likelihood import LikelihoodFit, Misfit
 from ..network import CSLC
 from ..recordings import Patterns, Recording
-from ..uncertainty import HeldOut, SeveralFit, Source, SystematicError, held_out_from, judged_errors
+from ..uncertainty import HeldOut, SeveralFit, Source, held_out_from, judged_errors
 from ._exclusions import Request
 from ._problem import PreparedRecording, Problem, joined
 
@@ -31,14 +31,14 @@ class Fit:
 
     - `network`: that they are of, with slopes of static friction.
     - `identification`: their values and covariance, without what is known beforehand.
-    - `lengths`: (n,) of pre-sliding [rad or m]; 0 where dry friction follows the sign of velocity.
+    - `presliding_distance`: (n,) [rad or m]; 0 where dry friction follows the sign of velocity.
     - `source`: what the estimator says beyond that, as its own kind of result.
     - `warnings`, `notes`: one sentence each.
     """
 
     network: CSLC
     identification: Identification
-    lengths: Float[np.ndarray, " joints"]
+    presliding_distance: Float[np.ndarray, " joints"]
     source: SeveralFit | LikelihoodFit | None = None
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -56,28 +56,20 @@ class Judged:
     - `problem`: whose patterns and settings the errors are of.
     - `fit`: with the coefficients to report: what is known beforehand and possible bodies included.
     - `held_out`: errors on motion that was not fitted; None where nothing was judged.
-    - `bodies`: possible ones beside the fit; None if they were not computed.
-    - `systematic`: errors that no residual shows; None if they were not computed.
-    - `slopes`: of static friction; None without it.
-    - `several`: of several recordings, what least squares say of each.
+    - `results`: further results of the report, by the names that its sections give them.
     - `vectors`: other coefficients whose errors are reported, by name.
-    - `comparison`: with other estimators; None without any.
-    - `pre_sliding`: dry friction with states, beside the fit or of it.
+    - `yielding`: the same fit by contacts that yield before they slide, beside `fit`; None without.
     - `warnings`: about what was fitted; `consequences`: about errors and bodies.
     """
 
     problem: Problem
     fit: Fit
     held_out: HeldOut | None
-    bodies: PossibleFit | None = None
-    systematic: SystematicError | None = None
-    slopes: SlopeFit | None = None
-    several: SeveralFit | None = None
+    results: Mapping[str, Any] = dataclasses.field(default_factory=dict[str, Any])
     vectors: Mapping[str, Float[Array | np.ndarray, " coefficients"]] = dataclasses.field(
         default_factory=dict
     )
-    comparison: EstimatorComparison | None = None
-    pre_sliding: PreSlidingFit | None = None
+    yielding: Fit | None = None
     warnings: tuple[str, ...] = ()
     consequences: tuple[str, ...] = ()
 
@@ -179,7 +171,7 @@ def residual(
 
     - `start`: (n,) states of dry friction at the first sample; zeros if None.
     """
-    network = along_motion(fit.network, patterns, fit.lengths, start)
+    network = along_motion(fit.network, patterns, fit.presliding_distance, start)
     return np.asarray(patterns.torque) - torque_of(network, patterns, fit.k)
 
 
@@ -198,10 +190,9 @@ def held_out_of(
     if error is None or mask is None:
         validation = problem.patterns["validation"]
         error, mask = residual(fit, validation), np.asarray(validation.mask)
-    result = judged_errors(
+    return judged_errors(
         *(residual(fit, training), np.asarray(training.mask), error, mask),
         int(fit.identification.rank),
-    )
-    return dataclasses.replace(
-        result, source=source, units=fit.network.output_units, names=fit.network.output_names
+        network=fit.network,
+        source=source,
     )

@@ -141,6 +141,13 @@ EXCLUSIONS = (
         ("bodies of the likelihood",),
         "likelihood: possible bodies are asked for by possible='always'",
     ),
+    *(
+        Exclusion(("elastic gears", feature), f"likelihood: a transmission is not with {name}")
+        for feature, name in (
+            (BODIES, "possible='always'"),
+            ("prior of links", "links of the prior"),
+        )
+    ),
     Exclusion(
         (f"unsupported {LIKELIHOOD}",),
         "estimator {r.estimator!r}: takes no options of maximum likelihood",

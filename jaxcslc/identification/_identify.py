@@ -1,9 +1,6 @@
-"""`identify`: from recordings of a robot to a report, by one sequence of steps.
+"""The pipeline of `identify`: friction, problem, estimator, judgement, report.
 
-    request ──► friction? ──► problem ──► estimator ──► judgement ──► report
-    _exclusions               _problem    _registry
-
-One recording is several of one. What is not combined is said in one table (`_exclusions`).
+`ESTIMATORS` lists the estimators by name.
 """
 
 import contextlib
@@ -18,30 +15,186 @@ import numpy as np
 from .._processes import can_fork, computed_beside
 from ..bodies import Choice, Prior
 from ..checks import AGREEMENT_KINDS, DataCheck, check
-from ..friction import along_motion
+from ..friction import PreSlidingFit, along_motion, fit_pre_sliding, fit_slopes
 from ..instruments import HorizonError, file_coefficients, prediction_error
-from ..least_squares import Previous, Settings, computed_on_host
+from ..least_squares import LeastSquares, Previous, Settings, computed_on_host
 from ..likelihood import MaximumLikelihood
-from ..network import CSLC
-from ..recordings import Recording
+from ..network import CSLC, DIRECTIONAL_LOAD, LOAD
+from ..recordings import Patterns, Recording
 from ..report import Report, compare, degree_of_excitation, fit_warnings
-from ..selection import PRE_SLIDING
+from ..selection import (
+    FRICTION_CANDIDATES,
+    PRE_SLIDING,
+    SAMPLES_OF_THREADS,
+    FrictionChoice,
+    choose_friction,
+)
 from ..uncertainty import SeveralFit
 from ._estimator import AbstractEstimator, Judged
-from ._exclusions import Request, check_request
-from ._identify_friction import (
-    ChosenFriction,
-    FrictionStates,
-    choose_friction_terms,
-    friction_states,
+from ._exclusions import LOAD_FRICTION, Request, check_request, excluded
+from ._least_squares import Regression, SimulatedMotion
+from ._maximum_likelihood import Likelihood, within_memory
+from ._problem import (
+    TRAINING,
+    VALIDATION,
+    ChosenSettings,
+    basic_settings,
+    prepare,
+    select_settings,
+    with_friction,
+    without_lag,
 )
-from ._problem import TRAINING, VALIDATION, prepare, with_friction, without_lag
-from ._registry import ESTIMATORS
 
 
-# From here on recordings are checked beside what follows: of shorter ones NumPy's operations take
-# so little that threads wait for the interpreter.
-_SAMPLES_OF_THREADS = 8192
+ESTIMATORS: Mapping[str, AbstractEstimator] = MappingProxyType(
+    {
+        "least-squares": Regression(),
+        "maximum-likelihood": Likelihood(),
+        "instrumental-variables": SimulatedMotion(),
+        "auto": Likelihood(always=False),
+    }
+)
+"""Estimators of `identify` and of the command, by name."""
+
+
+# Joints of which pre-sliding is kept for nothing. Not divided by the number of kinds that are
+# tried, as for terms: of 96 joints without it (simulated, encoders or Gaussian noise), none kept it
+# at either level, since hardly any length fits better there; five of a Panda's seven would lose it.
+_CHANCE = 0.05
+_TOO_LONG = "the recording is too long to be fitted in one piece"
+
+
+@dataclasses.dataclass(frozen=True)
+class ChosenFriction:
+    """Friction that is chosen by the data.
+
+    - `request`: with the terms in its network and, with maximum likelihood, pre-sliding distances
+      and static friction of joints without.
+    - `settings`: that terms were judged by; None if the request has its own.
+    - `terms`: joint by joint, and what each was worth.
+    - `tried`: pre-sliding as it was tried before all fits; None if it was not.
+    - `not_tried`: why it was not, in words; None if it is to be tried beside the fit.
+    """
+
+    request: Request
+    settings: ChosenSettings | None
+    terms: FrictionChoice
+    tried: PreSlidingFit | None = None
+    not_tried: str | None = None
+
+
+def choose_friction_terms(request: Request, step: Callable[[str], None]) -> ChosenFriction:
+    """Choose friction joint by joint, on the longest recording.
+
+    Where maximum likelihood is fitted, pre-sliding distances are chosen now: its fits use them.
+    """
+    longest = request.training[request.longest]
+    unfit = excluded(request, LOAD_FRICTION)
+    candidates = [
+        kind for kind in FRICTION_CANDIDATES if not unfit or kind not in (LOAD, DIRECTIONAL_LOAD)
+    ]
+    chosen = select_settings(request, step) if request.settings is None else None
+    terms = choose_friction(
+        request.network,
+        longest,
+        basic_settings(request, chosen),
+        candidates=candidates,
+        progress=step,
+    )
+    request = dataclasses.replace(request, network=terms.network)
+    tried, not_tried = None, excluded(request, PRE_SLIDING)
+    if request.estimator in ("maximum-likelihood", "auto") and not_tried is None:
+        if within_memory(terms.network, request.training, request.memory):
+            settings = basic_settings(request, chosen).for_network(terms.network)
+            patterns = settings.patterns(longest)
+            network = terms.network
+            if "static" in network.robot.friction_terms:
+                network = fit_slopes(network, patterns, solver=settings.solver).network
+            tried, not_tried = _tried(network, patterns, settings.solver, step)
+        else:
+            not_tried = _TOO_LONG
+    if tried is not None:
+        terms = terms.with_pre_sliding(tried)
+        if tried.joint_names:
+            options = dataclasses.replace(
+                request.likelihood_options, lengths=tuple(tried.presliding_distance.tolist())
+            )
+            request = dataclasses.replace(request, likelihood=options)
+    if request.estimator == "maximum-likelihood":
+        terms = terms.with_static_friction()
+        request = dataclasses.replace(request, network=terms.network)
+    if chosen is not None:
+        chosen = chosen._replace(motion=None)
+    return ChosenFriction(request, chosen, terms, tried, not_tried)
+
+
+def friction_results(
+    judged: Judged, chosen: ChosenFriction | None
+) -> tuple[FrictionChoice | None, PreSlidingFit | None, tuple[str, ...]]:
+    """Return the terms that were tried, dry friction with states, and notes, for the report.
+
+    With least squares alone, pre-sliding is tried now: beside the terms that were fitted, with
+    their patterns, masks and settings.
+
+    - `chosen`: None if friction was not chosen.
+    """
+    problem, states, notes = judged.problem, None, ()
+    terms = None if chosen is None else chosen.terms
+    tried = None if chosen is None else chosen.tried
+    fit = judged.yielding or judged.fit
+    if fit.presliding_distance.any():
+        states = PreSlidingFit(
+            fit.network, fit.identification, fit.presliding_distance, {}, fit.presliding_distance
+        )
+        if tried is not None:
+            states = dataclasses.replace(
+                states, relative=tried.relative, tried_distance=tried.tried_distance
+            )
+    if chosen is not None and tried is None:
+        not_tried = chosen.not_tried or (None if problem.part is None else _TOO_LONG)
+        if not_tried is None:
+            patterns = problem.patterns["training"]
+            tried, not_tried = _tried(judged.fit.network, patterns, problem.solver, problem.step)
+        if tried is None:
+            notes = (f"{PRE_SLIDING} was not tried: {not_tried}",)
+        else:
+            terms = chosen.terms.with_pre_sliding(tried)
+            states = tried if tried.joint_names else None
+    if states is not None:
+        notes = (*notes, _note_of(states, fitted=bool(judged.fit.presliding_distance.any())))
+    return terms, states, notes
+
+
+def _tried(
+    network: CSLC, patterns: Patterns, solver: LeastSquares, step: Callable[[str], None]
+) -> tuple[PreSlidingFit | None, str | None]:
+    """Pre-sliding, or why it could not be tried.
+
+    It is judged over all samples: masks leave out the slow ones, which say most of it.
+    """
+    step(f"trying friction: {PRE_SLIDING}")
+    everything = np.ones(np.shape(patterns.mask), bool)
+    try:
+        return fit_pre_sliding(
+            network, patterns, solver=solver, judged=everything, chance=_CHANCE
+        ), None
+    except (ValueError, RuntimeError) as error:  # too little motion is left in some stretch
+        return None, str(error)
+
+
+def _note_of(states: PreSlidingFit, *, fitted: bool) -> str:
+    """Describe where dry friction has states, and where it is a step."""
+    joints = ", ".join(states.joint_names)
+    if fitted:
+        return (
+            f"{PRE_SLIDING} of {joints}: a state along the motion, in the coefficients and errors"
+            " of this report, simulated motion and C code; robot files have dry friction as a step"
+        )
+    return (
+        f"{PRE_SLIDING} of {joints}: a state along the motion, in report.pre_sliding,"
+        " identification.json, simulated motion and C code; all else, robot files included, has"
+        " dry friction as a step"
+    )
 
 
 def identify(
@@ -101,7 +254,7 @@ def identify(
       joint by joint (`choose_friction`), and then tries a pre-sliding state of dry friction
       (`fit_pre_sliding`); `report.friction` says what each was worth, and `report.pre_sliding` is
       the fit with states, where a joint gains by them. Maximum likelihood is fitted with their
-      lengths, and compared with least squares with states. Settings are chosen once, for the
+      distances, and compared with least squares with states. Settings are chosen once, for the
       network as it is passed. Not with `previous`.
     - `options`: of `Preparation` and `LeastSquares`, set whatever the settings are, such as
       `{"torque_lag": 0.02, "loss": "huber"}`.
@@ -137,14 +290,11 @@ def identify(
       of `physical_parameters`.
     - `ImportError`: with `possible="always"`, where the conic solver is needed and not installed.
 
-    >>> import numpy as np, jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.arange(1000)[:, None] * 0.01
-    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
-    >>> report = jc.identify(network, jc.Recording(t[:, 0], q, torque), settings=jc.Settings())
-    >>> np.round(report.k, 3).tolist()
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.pendulum())
+    >>> recording = jc.examples.swing_recording(network, [0.5, 0.3, -0.1, 0.2, 0.05])
+    >>> report = jc.identify(network, recording, settings=jc.Settings())
+    >>> report.k.round(3).tolist()
     [0.5, 0.3, -0.1, 0.2, 0.05]
     """
     if isinstance(estimator, str) and estimator not in ESTIMATORS:
@@ -191,17 +341,17 @@ def _identified(
         _ = problem.patterns, problem.judged_patterns  # what is wrong with recordings is said now
         judged = estimator.judged(with_friction(problem))
         checked = data_check()
-    states = friction_states(judged, friction)
-    return _report(judged, states, checked)
+    return _report(judged, friction, checked)
 
 
-def _report(judged: Judged, friction: FrictionStates, data_check: DataCheck | None) -> Report:
+def _report(judged: Judged, chosen: ChosenFriction | None, data_check: DataCheck | None) -> Report:
     """The report of a fit, with errors of all recordings."""
-    problem, fit, several = judged.problem, judged.fit, judged.several
+    terms, states, friction_notes = friction_results(judged, chosen)
+    problem, fit, several = judged.problem, judged.fit, judged.results.get("several")
     request, network = problem.request, judged.fit.network
     errors = {
         name: compare(
-            along_motion(network, patterns, fit.lengths),
+            along_motion(network, patterns, fit.presliding_distance),
             patterns,
             {"fit": fit.k, **judged.vectors},
         )
@@ -226,32 +376,26 @@ def _report(judged: Judged, friction: FrictionStates, data_check: DataCheck | No
         *(() if several is None else several.agreement.warnings),
         *(consequences if data_check is None else data_check.unexplained(consequences)),
     )
-    bodies = judged.bodies
-    return Report(
-        network=network,
-        settings=problem.settings,
-        fit=fit.identification,
-        patterns=problem.patterns,
-        errors=MappingProxyType(errors),
-        excitation=excitation,
-        held_out=held_out,
-        slopes=judged.slopes,
-        systematic=judged.systematic,
-        groups=request.groups,
-        warnings=warnings,
-        selection=problem.selection,
-        bodies=None if bodies is None else bodies.parameters,
-        possible=bodies,
-        prior=request.prior,
-        several=several,
-        data_check=data_check,
-        judged_part=None if problem.section is None else problem.section.description,
-        notes=(*problem.notes, *fit.notes, *friction.notes),
-        estimators=judged.comparison,
-        horizon=_horizon(judged, friction) if request.horizon else None,
-        friction=friction.terms,
-        pre_sliding=friction.pre_sliding,
-    )
+    bodies = judged.results.get("possible")
+    results = {
+        **judged.results,
+        "several": several,
+        "bodies": None if bodies is None else bodies.parameters,
+        "errors": MappingProxyType(errors),
+        "excitation": excitation,
+        "held_out": held_out,
+        "groups": request.groups,
+        "prior": request.prior,
+        "warnings": warnings,
+        "notes": (*problem.notes, *fit.notes, *friction_notes),
+        "selection": problem.selection,
+        "judged_part": None if problem.section is None else problem.section.description,
+        "data_check": data_check,
+        "horizon": _horizon(judged, states) if request.horizon else None,
+        "friction": terms,
+        "pre_sliding": states,
+    }
+    return Report(network, problem.settings, fit.identification, problem.patterns, results)
 
 
 def _recording_of(judged: Judged) -> Recording:
@@ -262,22 +406,28 @@ def _recording_of(judged: Judged) -> Recording:
     return Recording(together.time, together.q, together.torque)
 
 
-def _horizon(judged: Judged, friction: FrictionStates) -> HorizonError:
+def _horizon(judged: Judged, states: PreSlidingFit | None) -> HorizonError:
     """Errors of simulated motion: of the coefficients, of those with a state of dry friction, and
     of those of the robot's file."""
     problem, fit = judged.problem, judged.fit
     problem.step("simulating")
     coefficients: dict[str, Any] = {"fit": fit.k}
-    lengths: dict[str, np.ndarray] = {}
-    if fit.lengths.any():
-        lengths["fit"] = fit.lengths
-    elif friction.pre_sliding is not None:
-        coefficients[PRE_SLIDING] = friction.pre_sliding.fit.k
-        lengths[PRE_SLIDING] = friction.pre_sliding.lengths
+    presliding_distance: dict[str, np.ndarray] = {}
+    if fit.presliding_distance.any():
+        presliding_distance["fit"] = fit.presliding_distance
+    elif states is not None:
+        coefficients[PRE_SLIDING] = states.fit.k
+        presliding_distance[PRE_SLIDING] = states.presliding_distance
     coefficients |= file_coefficients(fit.network)
     request = problem.request
     recording = request.validation or request.training[request.longest]
-    return prediction_error(fit.network, coefficients, recording, problem.settings, lengths=lengths)
+    return prediction_error(
+        fit.network,
+        coefficients,
+        recording,
+        problem.settings,
+        presliding_distance=presliding_distance,
+    )
 
 
 @contextlib.contextmanager
@@ -292,7 +442,7 @@ def _checked_beside(
     elif can_fork() and computed_on_host(request.network, longest.position):
         with computed_beside(lambda: _checked(request)) as result:
             yield result
-    elif longest.samples >= _SAMPLES_OF_THREADS:
+    elif longest.samples >= SAMPLES_OF_THREADS:
         with ThreadPoolExecutor(1) as pool:
             yield pool.submit(_checked, request).result
     else:

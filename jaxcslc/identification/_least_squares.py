@@ -1,4 +1,4 @@
-"""Least squares on smoothed motion: the estimator that the others start from."""
+"""Estimators by least squares: on smoothed motion, and with instruments of simulated motion."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from .._processes import prepared_beside
-from ..bodies import JudgedPart, judged_bodies, with_knowledge
-from ..friction import PreSlidingFit, along_motion, checked_lengths, linearised
+from ..bodies import JudgedPart, held_out_of_parts, judged_bodies, with_knowledge
+from ..friction import along_motion, checked_distance, linearised
+from ..instruments import DirectDynamics, InstrumentalVariables
 from ..least_squares import Identification, computed_on_host
 from ..selection import PRE_SLIDING
 from ..uncertainty import (
@@ -19,11 +20,11 @@ from ..uncertainty import (
     SystematicProblem,
     cross_validated_error,
     fit_recordings,
-    left_out_error,
+    fold_numbers,
 )
 from ._estimator import AbstractEstimator, Fit, Judged, held_out_of
 from ._exclusions import BODIES, LOAD_FRICTION, OFFSETS, PREVIOUS, SEVERAL
-from ._problem import FOLDS, Problem
+from ._problem import Problem
 
 
 # Coefficients of fits, and which of them are determined, by recording.
@@ -83,7 +84,7 @@ class Regression(AbstractEstimator):
                     network,
                     identification,
                     problem.judged_patterns,
-                    partial(_parts, problem, several),
+                    partial(_parts, problem, identification, several),
                     choice=request.possible,
                     prior=request.prior,
                     source="cross-validation" if several is None else "left-out recording",
@@ -112,28 +113,30 @@ class Regression(AbstractEstimator):
             problem,
             fit,
             held_out,
-            bodies,
-            systematic,
-            problem.slopes,
-            several,
+            {
+                "possible": bodies,
+                "systematic": systematic,
+                "slopes": problem.slopes,
+                "several": several,
+            },
             vectors,
             warnings=(*problem.warnings, *(line for x in fitted for line in x.warnings)),
             consequences=tuple(sentences),
         )
 
 
-def with_states(judged: Judged, lengths: tuple[float, ...]) -> Judged:
-    """Add a fit of least squares whose dry friction yields over known lengths, if there are any.
+def with_states(judged: Judged, presliding_distance: tuple[float, ...]) -> Judged:
+    """Add a fit of least squares whose dry friction yields over known distances, if there are any.
 
-    **Raises** `ValueError` for lengths that are not n or of joints without dry friction.
+    **Raises** `ValueError` for distances that are not n or of joints without dry friction.
     """
-    if not any(lengths):
+    if not any(presliding_distance):
         return judged
     problem, network = judged.problem, judged.fit.network
-    values = checked_lengths(network, lengths)
+    values = checked_distance(network, presliding_distance)
     patterns = problem.patterns["training"]
     fit = problem.solver.fit(along_motion(network, patterns, values), patterns)
-    return dataclasses.replace(judged, pre_sliding=PreSlidingFit(network, fit, values, {}, values))
+    return dataclasses.replace(judged, yielding=Fit(network, fit, values))
 
 
 def _less_offsets(problem: Problem, several: SeveralFit) -> Problem:
@@ -147,16 +150,26 @@ def _less_offsets(problem: Problem, several: SeveralFit) -> Problem:
     return dataclasses.replace(problem, recordings=recordings)
 
 
-def _parts(problem: Problem, several: SeveralFit | None) -> tuple[JudgedPart, ...]:
+def _parts(
+    problem: Problem, fit: Identification, several: SeveralFit | None
+) -> tuple[JudgedPart, ...]:
     """Parts of the motion, and fits without each: recordings, or stretches of one."""
+    network, patterns = problem.network, problem.judged_patterns
     if several is not None:
-        return JudgedPart.recordings(problem.network, several.patterns, several.without)
-    return JudgedPart.stretches(problem.network, problem.judged_patterns, problem.solver, FOLDS)
+        return tuple(
+            JudgedPart.of(network, values, several.without[name])
+            for name, values in several.patterns.items()
+        )
+    whole, fold = JudgedPart.of(network, patterns, fit), fold_numbers(patterns.samples)
+    fits = problem.solver.fits_without_folds(network, patterns, fold, whole.columns)
+    return whole.stretches(tuple(fits))
 
 
 def _cross_validated(problem: Problem, fit: Fit, several: SeveralFit | None) -> HeldOut:
     if several is not None:
-        return left_out_error(fit.network, several.patterns, fit.identification, several.without)
+        parts = _parts(problem, fit.identification, several)
+        k = fit.identification.k
+        return held_out_of_parts(fit.network, fit.identification, k, parts, "left-out recording")
     return cross_validated_error(
         fit.network, problem.judged_patterns, problem.settings, fit=fit.identification
     )
@@ -195,3 +208,42 @@ def _combined(
     (error,) = errors.values() if several is None else (several.allowing_for(errors)[1],)
     fixed = [i for i, entry in problem.known.items() if entry.fixed]
     return error.without(fixed)
+
+
+@dataclasses.dataclass(frozen=True)
+class SimulatedMotion(AbstractEstimator):
+    """Instruments from simulated motion, or torques alone with `DirectDynamics`.
+
+    Of one recording, without possible bodies and systematic errors. `method` has the settings of
+    the problem.
+    """
+
+    method: InstrumentalVariables | DirectDynamics = dataclasses.field(
+        default_factory=InstrumentalVariables
+    )
+
+    @property
+    def supports(self) -> frozenset[str]:
+        return frozenset()
+
+    def fit(self, problem: Problem) -> Fit:
+        instruments = isinstance(self.method, InstrumentalVariables)
+        words = "instrumental variables" if instruments else "direct dynamics"
+        problem.step(words)
+        settings = problem.settings.with_options(torque_lag=0.0)
+        method = dataclasses.replace(self.method, settings=settings)
+        (recording,) = problem.on_time.values()
+        result = method.fit(problem.network, recording, problem.start)
+        warnings = [f"{words}: not converged after {result.steps} simulations"]
+        tested = result.exogeneity
+        return Fit(
+            problem.network,
+            result.fit,
+            np.zeros(problem.network.joint_count),
+            warnings=() if result.converged else tuple(warnings),
+            notes=() if tested is None else (f"{words}: {tested}",),
+        )
+
+    def judged(self, problem: Problem) -> Judged:
+        start = with_knowledge(Regression().fit(problem).identification, problem.known)
+        return super().judged(dataclasses.replace(problem, start=start))

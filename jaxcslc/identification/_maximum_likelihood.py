@@ -22,7 +22,7 @@ from ..bodies import (
     possible_coefficients,
     with_knowledge,
 )
-from ..friction import PreSlidingFit, SlopeFit, along_motion, state_at
+from ..friction import SlopeFit, along_motion, state_at
 from ..least_squares import Identification, Settings, computed_on_host
 from ..likelihood import (
     Estimator,
@@ -36,15 +36,20 @@ from ..network import CSLC
 from ..recordings import Patterns, Recording
 from ..report import predicted_torque
 from ..selection import PRE_SLIDING
-from ..uncertainty import FEWEST_SAMPLES, RelativeError, Source, SystematicError, held_out_from
+from ..uncertainty import (
+    FEWEST_SAMPLES,
+    FOLDS,
+    RelativeError,
+    Source,
+    SystematicError,
+    held_out_from,
+)
 from ._estimator import AbstractEstimator, Begin, Fit, Judged, held_out_of
 from ._exclusions import BODIES, LIKELIHOOD, SEVERAL, Request
 from ._least_squares import Regression, with_states
 from ._problem import Problem, joined, without_lag
 
 
-# Estimators are judged in as many stretches, whose spread says what is chance.
-_STRETCHES = 8
 # Matrices of positions times coefficients that a fit keeps at a time.
 _MATRICES = 6
 
@@ -72,7 +77,14 @@ class Likelihood(AbstractEstimator):
         fit into memory.
         """
         request = problem.request
-        check_size(request.network, request.training, request.memory)
+        needed, memory = _needed(request.network, request.training), request.memory
+        if needed > memory:
+            samples = sum(recording.samples for recording in request.training.values())
+            raise ValueError(
+                f"maximum likelihood of {samples} samples needs {needed:.2g} GB; expected at most"
+                f" {memory:g} GB, about {int(memory / (needed / samples))} samples: thin the"
+                " recording, or allow more memory"
+            )
         options = _with_bodies(request, options_for(request.likelihood_options, problem.settings))
         # Regression with static friction starts from other slopes.
         start = None if _has_static_friction(request.network) else problem.start
@@ -106,8 +118,7 @@ class Likelihood(AbstractEstimator):
         problem = base.problem
         problem.step("maximum likelihood")
         if problem.begun is None:
-            states = base.pre_sliding
-            start = base.fit.identification if states is None else states.fit
+            start = (base.yielding or base.fit).identification
             fit = self.fit(dataclasses.replace(problem, start=start))
             assert isinstance(fit.source, LikelihoodFit)
             fits = LikelihoodFits(fit.source, None)
@@ -156,18 +167,6 @@ def options_for(options: MaximumLikelihood, settings: Settings) -> MaximumLikeli
 def within_memory(network: CSLC, training: Mapping[str, Recording], memory: float) -> bool:
     """Return whether the matrices of a fit fit into memory [GB]."""
     return _needed(network, training) <= memory
-
-
-def check_size(network: CSLC, training: Mapping[str, Recording], memory: float) -> None:
-    """**Raises** `ValueError` if the matrices of a fit do not fit into memory [GB]."""
-    if not within_memory(network, training, memory):
-        samples = sum(recording.samples for recording in training.values())
-        needed = _needed(network, training)
-        raise ValueError(
-            f"maximum likelihood of {samples} samples needs {needed:.2g} GB; expected at most"
-            f" {memory:g} GB, about {int(memory / (needed / samples))} samples: thin the recording,"
-            " or allow more memory"
-        )
 
 
 def _needed(network: CSLC, training: Mapping[str, Recording]) -> float:
@@ -307,8 +306,11 @@ def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
     request = problem.request
     ours = _fit_of(problem, likelihood)
     unfitted = _unfitted(base, fits)
-    along = along_motion(ours.network, unfitted.patterns, ours.lengths, unfitted.contact)
-    parts = JudgedPart.held_out(along, unfitted.patterns, unfitted.likelihood.fit, _STRETCHES)
+    along = along_motion(
+        ours.network, unfitted.patterns, ours.presliding_distance, unfitted.contact
+    )
+    unseen = JudgedPart.of(along, unfitted.patterns, unfitted.likelihood.fit)
+    parts = unseen.stretches((unseen.fit,) * FOLDS)
     fit = likelihood.free
     if fit is None:
         fit = _informed(request, likelihood.fit, ours.network)
@@ -331,7 +333,8 @@ def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
     comparison = _comparison(unfitted, ours, error, relative, better)
     if comparison.used == "least-squares":
         fit = dataclasses.replace(base.fit, notes=(*base.fit.notes, *ours.notes))
-        return dataclasses.replace(base, fit=fit, comparison=comparison)
+        results = {**base.results, "estimators": comparison}
+        return dataclasses.replace(base, fit=fit, results=results)
     fit = fit if bodies is None else bodies.fit if likelihood.free is None else likelihood.fit
     ours = dataclasses.replace(ours, identification=fit)
     problem.step("computing errors")
@@ -342,15 +345,14 @@ def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
         held_out_of(problem, ours)
         if unfitted.source == "validation"
         else held_out_of(problem, ours, unfitted.source, error, mask),
-        bodies,
-        _systematic(likelihood.systematic, fit) if request.systematic else None,
-        _slopes(likelihood),
-        base.several,
+        {
+            "possible": bodies,
+            "systematic": _systematic(likelihood.systematic, fit) if request.systematic else None,
+            "slopes": _slopes(likelihood),
+            "several": base.results["several"],
+            "estimators": comparison,
+        },
         {} if bodies is None else bodies.other_coefficients,
-        comparison,
-        PreSlidingFit(ours.network, fit, ours.lengths, {}, ours.lengths)
-        if ours.lengths.any()
-        else None,
         consequences=(*sentences, *ours.warnings),
     )
 
@@ -363,7 +365,7 @@ def _unfitted(base: Judged, fits: LikelihoodFits) -> _Unfitted:
         recording = without_lag(request.validation, problem.lag)
         patterns = problem.patterns["validation"]
         fit = base.fit
-        if base.pre_sliding is not None:
+        if base.yielding is not None:
             fit = _regression(base, problem.patterns["training"])
         return _Unfitted("validation", [recording], patterns, fit, likelihood)
     shortest = min(recording.samples for recording in request.training.values())
@@ -376,7 +378,7 @@ def _unfitted(base: Judged, fits: LikelihoodFits) -> _Unfitted:
     fitted: list[Patterns] = []
     unfitted: list[Patterns] = []
     contacts: list[np.ndarray] = []
-    lengths = _lengths(base)
+    presliding_distance = _presliding_distance(base)
     settings = problem.settings.with_options(torque_lag=0.0)
     for recording in problem.on_time.values():
         start, end, split = recording.time[0], recording.time[-1], held_out_from(recording)
@@ -385,7 +387,7 @@ def _unfitted(base: Judged, fits: LikelihoodFits) -> _Unfitted:
         fitted.append(patterns.between(float(start), split))
         unfitted.append(patterns.between(split, float(end)))
         first = int(np.searchsorted(np.asarray(patterns.time), unfitted[-1].time[0]))
-        contacts.append(state_at(patterns, lengths, first))
+        contacts.append(state_at(patterns, presliding_distance, first))
     shorter = fits.before
     if shorter is None:
         options = options_for(request.likelihood_options, problem.settings)
@@ -404,20 +406,24 @@ def _unfitted(base: Judged, fits: LikelihoodFits) -> _Unfitted:
 def _regression(base: Judged, patterns: Patterns) -> Fit:
     """Least squares of patterns, with the dry friction that maximum likelihood has; of possible
     bodies where the report has them."""
-    problem, network, lengths = base.problem, base.fit.network, _lengths(base)
-    fit = problem.solver.fit(along_motion(network, patterns, lengths), patterns)
+    problem, network, presliding_distance = (
+        base.problem,
+        base.fit.network,
+        _presliding_distance(base),
+    )
+    fit = problem.solver.fit(along_motion(network, patterns, presliding_distance), patterns)
     fit = with_knowledge(fit, problem.known)
-    result = Fit(network, fit, lengths)
-    if base.bodies is None or not base.bodies.used:
+    result = Fit(network, fit, presliding_distance)
+    bodies: PossibleFit | None = base.results["possible"]
+    if bodies is None or not bodies.used:
         return result
-    weight = base.bodies.parameters.prior_weight
+    weight = bodies.parameters.prior_weight
     return _with_k(result, _possible(problem.request, network, fit, weight))
 
 
-def _lengths(base: Judged) -> Float[np.ndarray, " joints"]:
+def _presliding_distance(base: Judged) -> Float[np.ndarray, " joints"]:
     """(n,) of pre-sliding, of both estimators."""
-    states = base.pre_sliding
-    return np.zeros(base.fit.network.joint_count) if states is None else states.lengths
+    return (base.yielding or base.fit).presliding_distance
 
 
 def _informed(request: Request, fit: Identification, network: CSLC) -> Identification:
@@ -483,7 +489,7 @@ def _relative(
             (rigid, other),
         )
     )
-    stretches = np.array_split(np.arange(len(ours.mask)), _STRETCHES)
+    stretches = np.array_split(np.arange(len(ours.mask)), FOLDS)
     return RelativeError.of(
         *(
             [values[rows] for rows in stretches]
@@ -516,7 +522,9 @@ def _comparison(
     """
     assert isinstance(ours.source, LikelihoodFit)
     mask = np.asarray(unfitted.patterns.mask)
-    least_squares = dataclasses.replace(unfitted.least_squares, lengths=ours.lengths)
+    least_squares = dataclasses.replace(
+        unfitted.least_squares, presliding_distance=ours.presliding_distance
+    )
     errors: dict[Estimator, np.ndarray] = {
         "least-squares": _error(unfitted, least_squares),
         "maximum-likelihood": error,
@@ -536,7 +544,7 @@ def _comparison(
 def _error(unfitted: _Unfitted, fit: Fit) -> Float[np.ndarray, "samples joints"]:
     """Torque errors of unfitted motion, friction at rest as reports have it."""
     patterns = unfitted.patterns
-    along = along_motion(fit.network, patterns, fit.lengths, unfitted.contact)
+    along = along_motion(fit.network, patterns, fit.presliding_distance, unfitted.contact)
     return np.asarray(patterns.torque) - predicted_torque(along, patterns, np.asarray(fit.k))
 
 

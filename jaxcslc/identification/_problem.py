@@ -1,7 +1,7 @@
 """What estimators are given: recordings of one robot, with settings, patterns and friction.
 
 `prepare` chooses settings, one recording being several of one; `with_friction` then fits what the
-network is not linear in (slopes of static friction, loads). `_registry` names the estimators.
+network is not linear in (slopes of static friction, loads). `_identify` names the estimators.
 """
 
 import contextlib
@@ -36,11 +36,12 @@ from ..selection import (
     sections_of,
     selection_with_motion,
 )
+from ..uncertainty import FOLDS
 from ._exclusions import Request
 
 
-# Stretches that settings are chosen by, and how many samples each has at least.
-FOLDS, _FEWEST_OF_FOLD = 8, 80
+# Samples that a stretch has at least, where settings are chosen.
+_FEWEST_OF_FOLD = 80
 # What a single recording that is fitted is called, and the one that judges.
 TRAINING, VALIDATION = "training recording", "validation recording"
 

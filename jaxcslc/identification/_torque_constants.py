@@ -33,21 +33,16 @@ class TorqueConstants:
     - `unit`: of the constants; one for each joint of an arm with prismatic joints.
 
     >>> import numpy as np, jaxcslc as jc
-    >>> from jaxcslc.identification import identify_torque_constants
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(arm, lengths="numeric").with_payload()
-    >>> t = np.arange(0.0, 8.0, 0.01)[:, None]
-    >>> q, qd = np.sin([1.1, 1.7] * t), [1.1, 1.7] * np.cos([1.1, 1.7] * t)
+    >>> from jaxcslc.identification import fit_torque_constants
+    >>> network = jc.derive(jc.examples.planar_arm()).with_payload()
     >>> k = np.linspace(0.5, 1.5, network.size)
     >>> k[network.layout.payload] = 0.02, 0.02, 0.02, 0, 0, 0, 0.1, 0, 0, 2.0
     >>> def current(k):
-    ...     torque = np.asarray(network.torque(k, q, qd, -q * [1.1**2, 1.7**2]))
-    ...     return jc.Recording(t[:, 0], q, torque / [0.1, 0.2])
+    ...     exact = jc.examples.swing(network, k)
+    ...     return dataclasses.replace(exact, torque=exact.torque / [0.1, 0.2])
     >>> loaded = current(k)
     >>> k[network.layout.payload] = 0.0
-    >>> unloaded = current(k)
-    >>> result = identify_torque_constants(network, unloaded, loaded, 2.0, settings=jc.Settings())
-    >>> np.round(result.constants, 3).tolist()
+    >>> fit_torque_constants(network, current(k), loaded, 2.0).constants.round(3).tolist()
     [0.1, 0.2]
     """
 

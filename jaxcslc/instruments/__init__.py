@@ -4,30 +4,29 @@
          ▲                                                   │
          └───────────────────────────────────────────────────┘
 
-- `_estimators`: `InstrumentalVariables` (IDIM-IV) and `DirectDynamics` (DIDIM).
-- `_simulation_fit`: the loop above, and a test of exogeneity.
-- `_projected_equations`: two-stage least squares.
-- `_simulated_motion`, `_simulation`: the arm under its controller or a correction, with friction.
-- `_prediction`, `_poses`: errors of open-loop simulation, and poses of links.
+- `_estimators`: `InstrumentalVariables` (IDIM-IV) and `DirectDynamics` (DIDIM), by the loop above.
+- `_simulation`: the arm without feedback, under its controller or with a correction.
+- `_prediction`: errors of open-loop simulation, and poses of links.
 """
 
 from ._estimators import (
     DirectDynamics as DirectDynamics,
+    ExogeneityTest as ExogeneityTest,
     InstrumentalVariables as InstrumentalVariables,
+    SimulationFit as SimulationFit,
 )
-from ._poses import link_poses as link_poses
 from ._prediction import (
     HorizonError as HorizonError,
     file_coefficients as file_coefficients,
+    link_poses as link_poses,
     prediction_error as prediction_error,
 )
-from ._simulated_motion import (
+from ._simulation import (
     AbstractSimulatedMotion as AbstractSimulatedMotion,
     ControlledMotion as ControlledMotion,
     CorrectedMotion as CorrectedMotion,
+    simulate as simulate,
 )
-from ._simulation import simulate as simulate
-from ._simulation_fit import ExogeneityTest as ExogeneityTest, SimulationFit as SimulationFit
 
 
 __all__ = [
@@ -40,4 +39,5 @@ __all__ = [
     "InstrumentalVariables",
     "SimulationFit",
     "prediction_error",
+    "simulate",
 ]

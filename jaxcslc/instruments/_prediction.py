@@ -1,4 +1,4 @@
-"""Errors of open-loop simulation that starts from states of a recording."""
+"""Errors of open-loop simulation that starts from states of a recording, and poses of links."""
 
 import contextlib
 import dataclasses
@@ -9,14 +9,66 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .._environment import array_namespace
 from .._text_table import text_table
-from ..friction import pre_sliding, state_after
+from ..friction import contact_states, state_after
 from ..least_squares import Settings
-from ..manipulator import RobotError
+from ..manipulator import Manipulator, RobotError
 from ..network import CSLC
 from ..recordings import Recording
-from ._poses import link_poses
-from ._simulation import simulate
+from ._simulation import applied_torque, interpolated, simulate
+
+
+Numbers = Array | np.ndarray
+
+
+def link_poses(
+    robot: Manipulator, q: Float[Numbers, "*batch joints"]
+) -> Float[Numbers, "*batch joints 4 4"]:
+    """The pose of each link's frame in the base frame (modified Denavit-Hartenberg, Eqn. 2.6-1).
+
+    **Arguments**
+
+    - `robot`: n joints, every length with a value.
+    - `q`: (..., n) positions [rad or m]; NumPy's, or JAX's, which can be traced.
+
+    **Raises**
+
+    - `RobotError`: a length without value.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)])
+    >>> np.round(link_poses(arm, np.array([np.pi / 2, 0.0]))[1, :3, 3], 6).tolist()
+    [0.0, 0.5, 0.0]
+    """
+    robot.length_values()  # says which has none
+    xp = array_namespace(q)
+    poses: list[Any] = []
+    for i, (joint, parent) in enumerate(zip(robot.joints, robot.parents, strict=True)):
+        a, d, b = (float(length.value or 0.0) for _, _, length in joint.lengths)
+        turn, slide = (q[..., i], 0.0) if joint.kind == "R" else (0.0 * q[..., i], q[..., i])
+        fixed = _screw_z(joint.gamma, b) @ _screw_x(joint.alpha, a)
+        step = xp.asarray(fixed, q.dtype) @ _screws_z(xp, joint.theta + turn, d + slide)
+        poses.append(step if parent < 0 else poses[parent] @ step)
+    return xp.stack(poses, axis=-3)
+
+
+def _screws_z(xp: Any, angle: Any, along: Any) -> Any:
+    """Screws about z by arrays of angles."""
+    c, s = xp.cos(angle), xp.sin(angle)
+    zero, one = xp.zeros_like(c), xp.ones_like(c)
+    rows = ((c, -s, zero, zero), (s, c, zero, zero), (zero, zero, one, along + zero))
+    return xp.stack([xp.stack(row, axis=-1) for row in (*rows, (zero, zero, zero, one))], axis=-2)
+
+
+def _screw_z(angle: float, along: float) -> Float[np.ndarray, "4 4"]:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, along], [0, 0, 0, 1.0]])
+
+
+def _screw_x(angle: float, along: float) -> Float[np.ndarray, "4 4"]:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1, 0, 0, along], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1.0]])
 
 
 HORIZONS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
@@ -85,7 +137,7 @@ def prediction_error(
     settings: Settings | None = None,
     *,
     horizons: Sequence[float] = HORIZONS,
-    lengths: Mapping[str, Float[np.ndarray, " joints"]] = MappingProxyType({}),
+    presliding_distance: Mapping[str, Float[np.ndarray, " joints"]] = MappingProxyType({}),
 ) -> HorizonError:
     """Simulates an arm open loop from states of a recording, and compares positions.
 
@@ -101,9 +153,9 @@ def prediction_error(
       held from sample to sample, or interpolated if the settings' alignment is `"sample"`.
     - `settings`: by which it is smoothed; the defaults of `Settings` if None.
     - `horizons`: times after the start [s]; those that the recording is too short for are left out.
-    - `lengths`: (n,) of pre-sliding [rad or m], by the name of coefficients whose dry friction has
-      them (`PreSlidingFit.lengths`). Its states start as the motion of the recording before the
-      start leaves them, from contacts without strain at its beginning.
+    - `presliding_distance`: (n,) [rad or m], by the name of coefficients whose contacts yield
+      before they slide (`PreSlidingFit.presliding_distance`). Their states start as the
+      motion of the recording before leaves them, from contacts without strain at its beginning.
 
     **Returns** a `HorizonError`.
 
@@ -112,11 +164,9 @@ def prediction_error(
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.instruments import prediction_error
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum.with_friction("viscous"), lengths="numeric")
-    >>> t = np.arange(400)[:, None] * 0.005
-    >>> k, motion = np.array([0.5, 0.3, -0.1, 0.2]), (np.sin(t), np.cos(t), -np.sin(t))
-    >>> recording = jc.Recording(t[:, 0], motion[0], np.asarray(network.torque(k, *motion)))
+    >>> network = jc.derive(jc.examples.pendulum("viscous"))
+    >>> k = np.array([0.5, 0.3, -0.1, 0.2])
+    >>> recording = jc.examples.swing_recording(network, k, time_step=0.005)
     >>> error = prediction_error(network, {"true": k, "heavy": 1.2 * k}, recording)
     >>> bool(error.error["true"][-1, 0] < 0.01 * error.error["heavy"][-1, 0])
     True
@@ -143,16 +193,18 @@ def prediction_error(
     instants = first[None, :] + interval * np.arange(round(max(possible) / interval) + 1)[:, None]
     held = settings.preparation.torque_alignment != "sample"
     torque = applied_torque(recording, settings, instants[:-1] + 0.5 * interval, held=held)
-    truth = _at(time, patterns.q, instants)
-    states = truth[0], _at(time, patterns.qd, instants[:1])[0]
+    truth = interpolated(time, patterns.q, instants)
+    states = truth[0], interpolated(time, patterns.qd, instants[:1])[0]
     rows = np.array([round(horizon / interval) for horizon in possible])
     within = instants[rows] <= time[-1] + 1e-9
     error: dict[str, np.ndarray] = {}
     distance: dict[str, np.ndarray] = {}
     for name, k in coefficients.items():
-        contact = lengths.get(name)
+        contact = presliding_distance.get(name)
         started = None if contact is None else _contacts(time, patterns.q, contact, first)
-        path = simulate(network, k, *states, torque, interval, lengths=contact, contact=started)
+        path = simulate(
+            network, k, *states, torque, interval, presliding_distance=contact, contact=started
+        )
         path = np.asarray(path)[rows]
         error[name] = _median(np.abs(path - truth[rows]), within)
         with contextlib.suppress(RobotError):  # lengths without values
@@ -200,42 +252,15 @@ def _origins(
     return origins.reshape(*q.shape[:-1], 3)
 
 
-def applied_torque(
-    recording: Recording,
-    settings: Settings,
-    instants: Float[np.ndarray, "intervals starts"],
-    *,
-    held: bool,
-) -> Float[np.ndarray, "intervals starts joints"]:
-    """The torque at instants [s], without the lag of its measurement: held from sample to sample,
-    or interpolated."""
-    time = np.asarray(recording.time)
-    late = instants + settings.preparation.torque_lag
-    torque = np.asarray(recording.torque)
-    if not held:
-        return _at(time, torque, late)
-    row = np.clip(np.searchsorted(time, late, side="right") - 1, 0, len(time) - 1)
-    return torque[row]
-
-
 def _contacts(
     time: Float[np.ndarray, " samples"],
     q: Float[Array | np.ndarray, "samples joints"],
-    lengths: Float[np.ndarray, " joints"],
+    presliding_distance: Float[np.ndarray, " joints"],
     instants: Float[np.ndarray, " starts"],
 ) -> Float[np.ndarray, "starts joints"]:
     """States of contacts at instants of a motion, positions between samples by a straight line."""
-    length = np.where(lengths > 0.0, lengths, 1.0)
-    state = np.asarray(pre_sliding(q, length, np.zeros(len(length))))
+    length = np.where(presliding_distance > 0.0, presliding_distance, 1.0)
+    state = np.asarray(contact_states(q, length, np.zeros(len(length))))
     before = np.clip(np.searchsorted(time, instants, side="right") - 1, 0, len(time) - 1)
-    change = _at(time, q, instants[None])[0] - np.asarray(q)[before]
+    change = interpolated(time, q, instants[None])[0] - np.asarray(q)[before]
     return np.asarray(state_after(state[before], change, length[None]))
-
-
-def _at(
-    time: Float[np.ndarray, " samples"],
-    values: Float[Array | np.ndarray, "samples joints"],
-    instants: Float[np.ndarray, "instants starts"],
-) -> Float[np.ndarray, "instants starts joints"]:
-    columns = np.asarray(values).T
-    return np.stack([np.interp(instants, time, column) for column in columns], axis=-1)

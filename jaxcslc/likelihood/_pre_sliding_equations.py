@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..friction import dry_term, pre_sliding
+from ..friction import contact_states, dry_term
 from ..network import CSLC
 from ._equations import AbstractEquations, MotionEquations
 from ._linearisation import Linearisation
@@ -182,7 +182,7 @@ def mean_states(
     cubic = cubic + x * (1.0 - x) ** 2 * first - x**2 * (1.0 - x) * second
     path = np.concatenate([cubic.reshape(-1, q.shape[1]), q[-1:]])
     length = np.where(lengths > 0.0, lengths, np.inf)
-    state = np.asarray(pre_sliding(path, length, np.zeros(len(lengths))))
+    state = np.asarray(contact_states(path, length, np.zeros(len(lengths))))
     moved = np.cumsum(np.abs(np.diff(path, axis=0, prepend=path[:1])), axis=0)
     first = np.where(lengths > 0.0, np.exp(-moved / length), 0.0)
     return np.stack([_mean(state, h), _mean(np.where(first < _FORGOTTEN, 0.0, first), h)])

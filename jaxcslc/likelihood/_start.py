@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..bodies import Prior
-from ..friction import checked_lengths
+from ..friction import checked_distance
 from ..least_squares import Identification, Settings, regressor_of, torque_of
 from ..network import CSLC
 from ..recordings import Patterns, Recording, Sampling
@@ -101,7 +101,7 @@ def starting_point(
     scale = np.where(fixed, 0.0, _scale(network, patterns.values(), torque_noise))
     equations = MotionEquations(network, np.diff(readings.time))
     if any(lengths):
-        checked = checked_lengths(network, lengths)
+        checked = checked_distance(network, lengths)
         equations = PreSlidingEquations.of(equations, checked, q, readings.time, readings.part)
     offset = np.zeros(position_noise.shape)
     point = Point.of({"k": k, "slopes": slopes, "offset": offset}, q, np.zeros(0))

@@ -2,9 +2,8 @@
 
 In: a network and a recording. Out: `Settings` or friction terms, with all trials.
 
-- `_selection`: `choose_settings`; `_candidates`: what it chooses among.
-- `_search`, `_scoring`: the search along axes, and the held-out score.
-- `_alignment`: the torque alignment.
+- `_selection`: `choose_settings`, by held-out scores.
+- `_candidates`: what it chooses among, and the search along it.
 - `_friction`: friction terms, joint by joint.
 - `_section`: the part of a long recording that is used.
 """
@@ -19,6 +18,7 @@ from ._friction import (
 )
 from ._section import Segment as Segment, section_of as section_of, sections_of as sections_of
 from ._selection import (
+    SAMPLES_OF_THREADS as SAMPLES_OF_THREADS,
     Selection as Selection,
     Trial as Trial,
     choose_settings as choose_settings,

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from ..friction import PreSlidingFit, fit_load, fit_slopes, linearised
 from ..least_squares import Settings
@@ -18,7 +18,7 @@ from ..recordings import (
     friction_thresholds,
     static_fractions,
 )
-from ..uncertainty import RelativeError
+from ..uncertainty import RelativeError, fold_numbers
 from ._selection import choose_settings
 
 
@@ -45,8 +45,8 @@ _OFFSET_ERROR, _OFFSET_SIGNIFICANT = 0.1, 5.0
 _GAIN_OF_SECOND = 0.01
 # What trials of a state of dry friction are called (`fit_pre_sliding`).
 PRE_SLIDING = "pre-sliding"
-# Rounds of adding terms; stretches of the recording, each predicted by a fit to the others.
-_ROUNDS, _FOLDS = 3, 8
+# Rounds of adding terms.
+_ROUNDS = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,19 +105,6 @@ class FrictionChoice:
     - `network`: with the terms; the robot that it was derived from is `network.robot`.
     - `trials`: in the order in which they were made.
     - `note`: what was added without a trial, if anything was.
-
-    >>> import numpy as np, jaxcslc as jc
-    >>> from jaxcslc.selection import choose_friction
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> t = np.arange(800)[:, None] * 0.01
-    >>> q, qd, qdd = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
-    >>> true = jc.derive(pendulum.with_friction("viscous", "dry", "offset"), lengths="numeric")
-    >>> torque = np.asarray(true.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.1, 0.4]), q, qd, qdd))
-    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> choice = choose_friction(network, jc.Recording(t[:, 0], q, torque), jc.Settings())
-    >>> choice.network.robot.friction_per_joint
-    (('viscous', 'dry', 'offset'),)
     """
 
     network: CSLC
@@ -143,7 +130,7 @@ class FrictionChoice:
         return [trial.document() for trial in self.trials]
 
     def with_pre_sliding(self, fit: PreSlidingFit) -> "FrictionChoice":
-        """Add the lengths of pre-sliding of every joint with dry friction to the trials."""
+        """Add the distances of pre-sliding of every joint with dry friction to the trials."""
         units = self.network.output_units
         nothing = RelativeError(0.0, np.inf, 0)
         trials = (
@@ -151,9 +138,9 @@ class FrictionChoice:
                 joint,
                 PRE_SLIDING,
                 fit.relative.get(joint, nothing),
-                used=bool(fit.lengths[joint - 1] > 0.0),
+                used=bool(fit.presliding_distance[joint - 1] > 0.0),
                 possible=joint in fit.relative,
-                length=float(fit.tried_lengths[joint - 1]),
+                length=float(fit.tried_distance[joint - 1]),
                 length_unit="m" if units[joint - 1] == "N" else "rad",
             )
             for joint, kinds in enumerate(self.network.friction_per_joint, start=1)
@@ -229,15 +216,14 @@ def choose_friction(
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.selection import choose_friction
-    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(robot.with_friction("viscous"), lengths="numeric")
-    >>> t = np.linspace(0, 10, 1000)[:, None]
-    >>> torque = -2 * np.sin(2 * t) + 0.8 * np.cos(2 * t) + 0.3  # a constant torque
-    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
-    >>> recording = jc.Recording(t[:, 0], np.sin(2 * t), torque)
+    >>> true = jc.derive(jc.examples.turntable("viscous", "offset"))
+    >>> exact = jc.examples.swing_recording(true, [0.5, 0.4, 0.3])  # with a constant torque
+    >>> noise = 0.01 * np.random.default_rng(0).normal(size=exact.torque.shape)
+    >>> recording = jc.Recording(exact.time, exact.position, exact.torque + noise)
+    >>> network = jc.derive(jc.examples.turntable("viscous"))
     >>> choice = choose_friction(network, recording, jc.Settings(), candidates=["offset"])
     >>> choice.network.names
-    ('kB1', 'kv1', 'ko1')
+    ('kM1', 'kv1', 'ko1')
     """
     if settings is None:
         progress("choosing settings")
@@ -254,7 +240,7 @@ def choose_friction(
                     errors, mask, laws = _held_out(richer, recording, settings)
                 except (ValueError, RuntimeError):  # nothing in the motion determines it
                     continue
-                fold = _fold(len(mask))
+                fold = fold_numbers(len(mask))
                 unclear = _unclear_offsets(richer, recording, settings) if "offset" in kind else ()
                 for joint in joints:
                     relative = RelativeError.of_joint(errors, before, mask, fold, joint)
@@ -372,13 +358,8 @@ def _held_out(
         network, patterns = linearised(load.network, load.fit.k, patterns)
     elif "static" in network.robot.friction_terms:
         network = fit_slopes(network, patterns, solver=suited.solver).network
-    errors = suited.solver.held_out_errors(network, patterns, _fold(patterns.samples))
+    errors = suited.solver.held_out_errors(network, patterns, fold_numbers(patterns.samples))
     return errors, moving, network.friction_per_joint
-
-
-def _fold(samples: int) -> Int[np.ndarray, " samples"]:
-    """Return the number of the stretch of each sample, from 0."""
-    return np.arange(samples) * _FOLDS // samples
 
 
 def _best(trials: Sequence[FrictionTrial], chance: float) -> dict[int, FrictionTrial]:

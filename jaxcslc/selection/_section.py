@@ -32,23 +32,14 @@ class Segment(NamedTuple):
 def section_of(
     network: CSLC, recording: Recording, memory: float, *, streamed: bool = True
 ) -> Segment | None:
-    """The part of a recording whose regressor fits into memory, or None if all of it does.
+    """The part of a recording whose regressor fits into memory [GB], or None if all of it does.
 
     Of sections of equal length without gaps that start at even distances, that in which joints
     cover the most: the greatest sum of logarithms of the standard deviations of positions and of
     their differences. (Sections apart from each other would have gaps between them, which no
     filter may pass.)
 
-    **Arguments**
-
-    - `network`: n joints, p coefficients.
-    - `recording`: of n joints.
-    - `memory`: that may be used [GB].
     - `streamed`: whether coefficients are fitted to all of the recording nevertheless.
-
-    **Raises**
-
-    - `ValueError`: a memory that is not above zero.
     """
     if not 0.0 < memory < np.inf:
         raise ValueError(f"memory: expected more than 0 GB, got {memory:g}")
@@ -79,15 +70,7 @@ def sections_of(
     """Cut several recordings to what is fitted together in a memory, shared by their lengths.
 
     Equations of all are kept until the recordings are compared, so that they are not streamed.
-
-    **Arguments**
-
-    - `network`, `memory`: as of `section_of`.
-    - `recordings`: by name.
-
-    **Returns** the recordings, long ones cut to a section, and a sentence about each that was.
-
-    **Raises** as `section_of`.
+    **Returns** the recordings, and a sentence about each that was cut.
     """
     total = sum(recording.samples for recording in recordings.values())
     sections = {

@@ -3,20 +3,21 @@
 In: a fit, its patterns and others. Out: figures of how far the coefficients can be trusted.
 
 - `_held_out`: errors on data that was not fitted, and what is beyond chance.
-- `_systematic_error`, `_systematic_problem`: errors by smoothing, timing and missing terms.
+- `_systematic_error`: errors by smoothing, timing and missing terms.
 - `_several`: joint fit of several recordings, and whether they agree.
 """
 
 from ._held_out import (
     FEWEST_SAMPLES as FEWEST_SAMPLES,
+    FOLDS as FOLDS,
     HeldOut as HeldOut,
     RelativeError as RelativeError,
     Source as Source,
     cross_validated_error as cross_validated_error,
+    fold_numbers as fold_numbers,
     held_out_error as held_out_error,
     held_out_from as held_out_from,
     judged_errors as judged_errors,
-    left_out_error as left_out_error,
 )
 from ._several import (
     RecordingAgreement as RecordingAgreement,
@@ -26,13 +27,11 @@ from ._several import (
 )
 from ._systematic_error import (
     SystematicError as SystematicError,
+    SystematicProblem as SystematicProblem,
     missing_terms as missing_terms,
     standard_uncertainty as standard_uncertainty,
-    uncertainty_interval as uncertainty_interval,
-)
-from ._systematic_problem import (
-    SystematicProblem as SystematicProblem,
     systematic_error as systematic_error,
+    uncertainty_interval as uncertainty_interval,
 )
 
 

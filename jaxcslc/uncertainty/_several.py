@@ -16,6 +16,7 @@ from jaxtyping import Float
 from ..least_squares import Equations, Identification, LeastSquares, Unknowns, regressor_of
 from ..network import AbstractLinearNetwork
 from ..recordings import Patterns
+from ._held_out import CHANCE
 from ._systematic_error import SystematicError
 
 
@@ -99,8 +100,6 @@ def _square(column: Float[np.ndarray, " rows"]) -> float:
     return float(column @ column) or 1.0
 
 
-# Recordings of the same robot are said to disagree once in so many times.
-_CHANCE = 0.01
 # What a sentence ends with where no cause of a disagreement is known.
 _NO_CAUSE = "check temperature, payload and robot, or fit it by itself"
 
@@ -185,12 +184,7 @@ class RecordingAgreement:
 
 
 def agreement_text(differing: Mapping[str, Sequence[str]]) -> str:
-    """Return whether recordings agree, in words.
-
-    **Arguments**
-
-    - `differing`: by recording, the coefficients in which it differs beyond chance.
-    """
+    """Return whether recordings agree, in words, from the coefficients that differ by recording."""
     if not any(differing.values()):
         return f"the {len(differing)} recordings agree in all coefficients"
     return "\n".join(
@@ -221,7 +215,7 @@ def agreement_of(
         error[name] = np.where(both, np.hypot(*errors), np.nan)
         degrees = min(float(some.degrees_of_freedom) for some in (fit, other))
         tests = max(int(np.count_nonzero(both)), 1) * comparisons
-        limit[name] = float(scipy.special.stdtrit(degrees, 1.0 - 0.5 * _CHANCE / tests))
+        limit[name] = float(scipy.special.stdtrit(degrees, 1.0 - 0.5 * CHANCE / tests))
     return RecordingAgreement(
         network.names,
         MappingProxyType(difference),
@@ -240,13 +234,6 @@ def combined_systematic(
 
     The common fit is about the mean of the others, weighted by their precision. Causes are taken to
     act alike in all recordings, so that their errors add, and do not average out.
-
-    **Arguments**
-
-    - `fits`: of each recording by itself.
-    - `errors`: of these fits.
-
-    **Returns** the error; 0 of coefficients that no recording determines.
     """
     weights = {name: _precision(fits[name]) for name in errors}
     total = np.sum(list(weights.values()), axis=0)
@@ -342,18 +329,7 @@ class SeveralFit:
 
 
 def several_text(document: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return what a report says of several recordings.
-
-    **Arguments**
-
-    - `document`: a `SeveralFit.document`.
-
-    >>> entry = {"samples": 800, "noise": [0.1], "offsets": [0.0], "differing": []}
-    >>> print(several_text({"morning": entry, "evening": entry}))
-    the 2 recordings agree in all coefficients
-    morning: 800 samples, RMS residual of each joint 0.1
-    evening: 800 samples, RMS residual of each joint 0.1
-    """
+    """Return what a report says of several recordings, from `SeveralFit.document`."""
     lines = [agreement_text({name: entry["differing"] for name, entry in document.items()})]
     for name, entry in document.items():
         noise = ", ".join(f"{size:.3g}" for size in entry["noise"])
@@ -394,16 +370,13 @@ def fit_recordings(
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.uncertainty import fit_recordings
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(arm, lengths="numeric")
-    >>> t, rng = np.linspace(0, 5, 500)[:, None], np.random.default_rng(0)
-    >>> q, qd, qdd, pairs = np.sin(t), np.cos(t), -np.sin(t), np.ones(t.shape, bool)
+    >>> network, rng = jc.derive(jc.examples.turntable()), np.random.default_rng(0)
     >>> def patterns(friction):
-    ...     torque = np.asarray(network.torque(np.array([0.5, friction, 1.0]), q, qd, qdd))
-    ...     noise = 0.01 * rng.standard_normal(t.shape)
-    ...     return jc.Patterns(t[:, 0], q, qd, qdd, torque + noise, pairs, pairs)
-    >>> cold, warm = patterns(2.0), patterns(1.5)
-    >>> fit_recordings(network, {"cold": cold, "warm": warm}).agreement.differing["warm"]
+    ...     exact = jc.examples.swing(network, [0.5, friction, 1.0])
+    ...     noise = 0.01 * rng.standard_normal(exact.torque.shape)
+    ...     return dataclasses.replace(exact, torque=exact.torque + noise)
+    >>> both = {"cold": patterns(2.0), "warm": patterns(1.5)}
+    >>> fit_recordings(network, both).agreement.differing["warm"]
     ('kv1',)
     """
     if len(patterns) < 2:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares, lsq_linear
 
-from jaxcslc.bodies._bounded_least_squares import BoundedMinimum, bounded_least_squares
+from jaxcslc.bodies._principal_programme import BoundedMinimum, bounded_least_squares
 
 
 # Both end where the sum of squares changes by less than 1e-10 of itself.

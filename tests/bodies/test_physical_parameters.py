@@ -19,7 +19,7 @@ from jaxcslc.bodies._body import (
     link_of,
     pseudo_inertia,
 )
-from jaxcslc.bodies._nearest_body import whitening
+from jaxcslc.bodies._nearest_bodies import whitening
 from jaxcslc.manipulator import LinkInertia
 
 
@@ -144,7 +144,7 @@ class TestIdentity:
         parameters = jc.physical_parameters(elbow, fit_of(k, 1e-7))
         assert parameters.result == POSSIBILITY.successful
         np.testing.assert_allclose(parameters.k, np.asarray(k), atol=1e-6)
-        np.testing.assert_allclose(np.asarray(parameters.viscous), [1, 2, 3], atol=1e-6)
+        np.testing.assert_allclose(np.asarray(parameters.friction["viscous"]), [1, 2, 3], atol=1e-6)
         again = elbow.coefficients_from(parameters.links, **dict[str, Any](parameters.friction))
         np.testing.assert_allclose(np.asarray(again), parameters.k, atol=_ROUNDING)
 
@@ -240,8 +240,8 @@ class TestImpossible:
                 unit = scale @ pseudo_inertia(body_of(body)) @ scale.T
                 lowest = float(np.linalg.eigvalsh(unit)[0])
                 assert lowest > least - _SOLVER
-            assert np.all(np.asarray(parameters.viscous) >= 0) and np.all(
-                np.asarray(parameters.dry) >= 0
+            assert np.all(np.asarray(parameters.friction["viscous"]) >= 0) and np.all(
+                np.asarray(parameters.friction["dry"]) >= 0
             )
             assert all(float(link.motor_inertia) >= 0 for link in parameters.links)
 

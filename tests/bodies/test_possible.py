@@ -53,8 +53,11 @@ def patterns_of(
 
 
 def fitted(network: jc.CSLC, patterns: jc.Patterns, *, always: bool = False) -> PossibleFit:
-    parts = JudgedPart.stretches(network, patterns, SOLVER, FOLDS)
-    return possible_fit(network, SOLVER.fit(network, patterns), patterns, parts, always=always)
+    fit = SOLVER.fit(network, patterns)
+    fold = np.arange(patterns.samples) * FOLDS // patterns.samples
+    fits = SOLVER.fits_without_folds(network, patterns, fold)
+    parts = JudgedPart.of(network, patterns, fit).stretches(tuple(fits))
+    return possible_fit(network, fit, patterns, parts, always=always)
 
 
 def test_errors_are_those_of_fits_to_the_other_stretches(
@@ -103,15 +106,13 @@ def test_choice_follows_the_errors_and_their_spread(
     assert not well.used and abs(well.change) < 0.01 and not well.warnings
     np.testing.assert_array_equal(np.asarray(well.fit.k), np.asarray(well.free.k))
     patterns = patterns_of(network, k, 0.2, 0.3)
-    parts = JudgedPart.stretches(network, patterns, SOLVER, FOLDS)
     # As if fits to the others had friction that drives the joints.
     wrong = 5.0 * (np.array(network.names) == "kd1")
     fits = SOLVER.fits_without_folds(network, patterns, np.arange(480) * FOLDS // 480)
-    parts = [
-        part._replace(fit=fit._replace(k=fit.k - wrong))
-        for part, fit in zip(parts, fits, strict=True)
-    ]
-    assert possible_fit(network, SOLVER.fit(network, patterns), patterns, parts).used
+    fit = SOLVER.fit(network, patterns)
+    worse = tuple(fit._replace(k=fit.k - wrong) for fit in fits)
+    parts = JudgedPart.of(network, patterns, fit).stretches(worse)
+    assert possible_fit(network, fit, patterns, parts).used
 
 
 def test_a_body_far_from_the_fit_is_named_with_what_to_do(

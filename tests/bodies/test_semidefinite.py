@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxcslc.bodies._nearest_body import semidefinite_least_squares
+from jaxcslc.bodies._nearest_bodies import semidefinite_least_squares
 
 
 cp: Any = pytest.importorskip("cvxpy")

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.friction import PreSlidingFit, pre_sliding
+from jaxcslc.friction import PreSlidingFit, contact_states
 
 
 Compiled = Callable[[jc.CCode], Callable[..., Float[np.ndarray, "..."]]]
@@ -187,7 +187,7 @@ def test_the_example_of_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         )
         torque.append(float(tau[0]))
     path = np.concatenate([[[0.0]], np.cumsum(interval * qd, axis=0)])
-    states = np.asarray(pre_sliding(path, result.lengths, np.zeros(1)))[1:]
+    states = np.asarray(contact_states(path, result.presliding_distance, np.zeros(1)))[1:]
     k = dict(zip(result.fit.names, np.asarray(result.fit.k).tolist(), strict=True))
     assert_allclose(torque, (k["kB1"] * qdd + k["kd1"] * states)[:, 0], atol=1e-14)
 
@@ -203,7 +203,7 @@ def test_code_of_a_saved_identification_by_maximum_likelihood(
     qd = 0.6 * np.cos(2 * t) + 0.7 * np.cos(7 * t)
     qdd = -1.2 * np.sin(2 * t) - 4.9 * np.sin(7 * t)
     lengths = np.array([0.02])
-    torque = 0.5 * qdd + 0.2 * qd + 0.4 * np.asarray(pre_sliding(q, lengths, np.zeros(1)))
+    torque = 0.5 * qdd + 0.2 * qd + 0.4 * np.asarray(contact_states(q, lengths, np.zeros(1)))
     report = jc.identify(
         network,
         jc.Recording(t[:, 0], q, torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)),
@@ -216,9 +216,9 @@ def test_code_of_a_saved_identification_by_maximum_likelihood(
     report.save(tmp_path, pictures=False)
     states = jc.load_report(tmp_path, robot).pre_sliding
     assert states is not None
-    call = compiled(jc.c_code(states.network, states.fit.k, lengths=states.lengths))
+    call = compiled(jc.c_code(states.network, states.fit.k, lengths=states.presliding_distance))
     motion = report.patterns["training"]
     recorded = (np.asarray(motion.q), np.asarray(motion.qd), np.asarray(motion.qdd))
     expected = np.asarray(report.network_along("training").torque(report.k, *recorded))
-    torque = along(call, recorded, states.lengths, 1, "torque")
+    torque = along(call, recorded, states.presliding_distance, 1, "torque")
     assert_allclose(torque, expected, rtol=_ROUNDING, atol=_ROUNDING * np.max(np.abs(expected)))

@@ -1,17 +1,16 @@
 """Dry friction that yields before it slides: against integrations by other means."""
 
-import dataclasses
 from typing import Any
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.friction import fit_pre_sliding, pre_sliding
+from jaxcslc.friction import contact_states, fit_pre_sliding
+from jaxcslc.instruments import simulate
+from tests.yielding_motion import yielding_motion
 
 
 INERTIA, WEIGHT, VISCOUS, DRY, LENGTH = 0.4, 3.0, 0.3, 0.8, 0.03
@@ -34,7 +33,7 @@ def test_the_state_is_that_of_the_differential_equation() -> None:
         states.append(w)
     # A sample every millisecond: a joint turns within some intervals, not between samples.
     some = slice(None, None, 25)
-    assert_allclose(pre_sliding(q[some], length, states[0]), np.array(states)[some], atol=2e-3)
+    assert_allclose(contact_states(q[some], length, states[0]), np.array(states)[some], atol=2e-3)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +70,7 @@ def test_length_and_coefficients_of_a_simulated_joint(swing: tuple[np.ndarray, .
     model = network("viscous", "dry")
     pairs = patterns(swing, 0.02)
     result = fit_pre_sliding(model, pairs)
-    assert_allclose(result.lengths, LENGTH, rtol=0.05)
+    assert_allclose(result.presliding_distance, LENGTH, rtol=0.05)
     value = dict(zip(result.fit.names, np.asarray(result.fit.k), strict=True))
     for name, true in {"kB1": INERTIA, "kB2": WEIGHT / 9.81, "kv1": VISCOUS, "kd1": DRY}.items():
         assert_allclose(value[name], true, atol=0.03)
@@ -88,8 +87,8 @@ def test_slow_pairs_that_are_judged_but_not_fitted(swing: tuple[np.ndarray, ...]
     masked = jc.Patterns(pairs.time, *states, fast, np.ones_like(fast))
     judged = np.ones_like(fast)  # a gain as large as its spread over stretches does here
     result = fit_pre_sliding(network("viscous", "dry"), masked, judged=judged, chance=0.5)
-    assert_allclose(result.lengths, LENGTH, rtol=0.1)
-    w = np.asarray(pre_sliding(swing[1], result.lengths, np.zeros(1)))
+    assert_allclose(result.presliding_distance, LENGTH, rtol=0.1)
+    w = np.asarray(contact_states(swing[1], result.presliding_distance, np.zeros(1)))
     columns = np.stack([swing[3], 9.81 * np.cos(swing[1]), -9.81 * np.sin(swing[1])], axis=2)
     rows = np.concatenate([columns, np.stack([swing[2], w], axis=2)], axis=2)[fast]
     expected = np.linalg.lstsq(rows, np.asarray(pairs.torque)[fast])[0]
@@ -111,20 +110,18 @@ def test_simulated_motion_is_that_of_another_integrator(swing: tuple[np.ndarray,
     time, q, qd, _, torque, w = swing
     model = network("viscous", "dry")
     true = {"kB1": INERTIA, "kB2": WEIGHT / 9.81, "kv1": VISCOUS, "kd1": DRY}
-    fit = fit_pre_sliding(model, patterns(swing, 0.02))
     k = np.array([true.get(name, 0.0) for name in model.names])
-    exact = dataclasses.replace(
-        fit,
-        fit=eqx.tree_at(lambda fit: fit.k, fit.fit, jnp.asarray(k)),
-        lengths=np.array([LENGTH]),
-    )
     # Torque that is held: the mean over each interval, by the trapezium.
     held, some = 0.5 * (torque[:-1] + torque[1:])[:400], slice(0, 401)
-    path = exact.motion(q[0], qd[0], held, float(time[1]))
+    start = q[0], qd[0], w[0]
+    path = yielding_motion(model, k, np.array([LENGTH]), start, held, float(time[1]))
     for values, expected in zip(path, (q, qd, w), strict=True):
         assert_allclose(values, expected[some], atol=1e-3)
-    with pytest.raises(ValueError, match="joint 1 has dry friction without a length"):
-        dataclasses.replace(fit, lengths=np.zeros(1)).motion(q[0], qd[0], held, 0.005)
+    length = np.array([LENGTH])
+    simulated = simulate(
+        model, k, q[:1], qd[:1], held[:, None], float(time[1]), presliding_distance=length
+    )
+    assert_allclose(simulated[:, 0], q[some], atol=1e-3)
 
 
 def test_motion_that_slides_keeps_the_sign() -> None:
@@ -137,7 +134,7 @@ def test_motion_that_slides_keeps_the_sign() -> None:
     torque = np.asarray(model.torque(k, *motion)) + noise
     data = jc.Patterns(t[:, 0], *motion, torque, pairs, pairs)
     result = fit_pre_sliding(model, data)
-    assert result.lengths.tolist() == [0.0]
+    assert result.presliding_distance.tolist() == [0.0]
     assert_allclose(result.fit.k, jc.LeastSquares().fit(model, data).k, atol=1e-9)
 
 

@@ -66,7 +66,7 @@ def report(network: jc.CSLC) -> jc.Report:
 
 def test_the_joint_that_yields_gets_its_length(report: jc.Report) -> None:
     assert report.pre_sliding is not None and report.friction is not None
-    first, second = report.pre_sliding.lengths
+    first, second = report.pre_sliding.presliding_distance
     assert_allclose(first, LENGTH, rtol=0.2)
     assert second == 0.0
     trials = {t.joint: t for t in report.friction.trials if t.kind == "pre-sliding"}

@@ -10,10 +10,10 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.bodies import Prior
-from jaxcslc.friction import pre_sliding, state_at
+from jaxcslc.friction import contact_states, state_at
 from jaxcslc.identification import ESTIMATORS
 from jaxcslc.identification._exclusions import Request
-from jaxcslc.identification._identify_friction import choose_friction_terms
+from jaxcslc.identification._identify import choose_friction_terms
 from jaxcslc.instruments import prediction_error
 from jaxcslc.likelihood import EstimatorComparison
 
@@ -152,9 +152,9 @@ class TestComparison:
     def test_a_state_does_not_depend_on_where_motion_is_cut(self, report: jc.Report) -> None:
         patterns = report.patterns["training"]
         q = np.asarray(patterns.q)
-        whole = np.asarray(pre_sliding(q, report.lengths, np.zeros(1)))
+        whole = np.asarray(contact_states(q, report.lengths, np.zeros(1)))
         start = state_at(patterns, report.lengths, 700)
-        after = np.asarray(pre_sliding(q[700:], report.lengths, start))
+        after = np.asarray(contact_states(q[700:], report.lengths, start))
         assert_allclose(after, whole[700:], atol=_ROUNDING)
 
     def test_least_squares_that_are_as_good_with_states_are_kept(
@@ -167,7 +167,7 @@ class TestComparison:
         assert comparison.likelihood.lengths.any()
         assert comparison.used == "least-squares" and not report.lengths.any()
         assert report.pre_sliding is not None
-        assert_allclose(report.pre_sliding.lengths, comparison.likelihood.lengths)
+        assert_allclose(report.pre_sliding.presliding_distance, comparison.likelihood.lengths)
         step = report.errors["training"].rms_all_samples[0]
         motion = report.patterns["training"]
         torque, _ = report.pre_sliding.torque(motion.q, motion.qd, motion.qdd)
@@ -196,7 +196,7 @@ class TestReport:
             {"fit": np.asarray(report.k)},
             recordings[1],
             report.settings,
-            lengths={"fit": report.lengths},
+            presliding_distance={"fit": report.lengths},
         )
         assert_allclose(report.horizon.error["fit"], expected.error["fit"])
 

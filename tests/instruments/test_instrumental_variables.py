@@ -9,8 +9,11 @@ from numpy.testing import assert_allclose
 import jaxcslc as jc
 from jaxcslc.control import PID, Reference
 from jaxcslc.instruments import ControlledMotion, CorrectedMotion
-from jaxcslc.instruments._projected_equations import projected_fit, wide_rows
-from jaxcslc.instruments._simulation_fit import Simulated, both_masks, exogeneity_test
+from jaxcslc.instruments._estimators import (
+    exogeneity_test,
+    projected_fit,
+    wide_rows,
+)
 from jaxcslc.least_squares import Equations, Unknowns
 
 
@@ -183,10 +186,10 @@ def test_of_unbiased_fits_of_an_arm_few_are_rejected(
         measured = preparation.patterns(recording, moved)
         k = np.asarray(solver.fit(arm, measured).k)
         again = motion.simulate(arm, k, recording, jc.Settings())
-        both = both_masks(Simulated(measured, preparation.patterns(recording, again), truth))
-        equations, instruments = (solver.equations(arm, patterns) for patterns in both)
-        result = projected_fit(equations, instruments, solver, measured.samples)
-        rejected.append(exogeneity_test(equations, result).p_value < 0.05)
+        simulated = preparation.patterns(recording, again)
+        settings = jc.Settings(preparation, solver)
+        _, test = jc.InstrumentalVariables().solve(arm, settings, measured, simulated)
+        rejected.append(test.p_value < 0.05)
     # Three standard deviations of 40 draws of 5 %.
     assert np.mean(rejected) < 0.05 + 3 * np.sqrt(0.05 * 0.95 / 40)
 

@@ -8,8 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.friction import yielding_motion
 from jaxcslc.instruments import file_coefficients, prediction_error, simulate
+from tests.yielding_motion import yielding_motion
 
 
 def pendulum(*friction: str) -> jc.CSLC:
@@ -104,7 +104,7 @@ class TestPreSliding:
         exact, _, _ = yielding_motion(network, k, lengths, (q, 0.0 * q, contact), torque, 0.01)
         path = simulate(
             *(network, k, q[None], 0.0 * q[None], torque[:, None], 0.01),
-            lengths=lengths,
+            presliding_distance=lengths,
             contact=contact[None],
         )
         # Steps of 2 ms; the stiffest contact here vibrates at 90 Hz.
@@ -120,7 +120,7 @@ class TestPreSliding:
         contact = np.array([[0.75], [0.75 - 1e-6], [-0.75]])
         path = simulate(
             *(network, np.array([0.1, 4.0]), start, start, push, 0.01),
-            lengths=np.array([1e-5]),
+            presliding_distance=np.array([1e-5]),
             contact=contact,
         )
         assert_allclose(path[:, 0], 0.0, atol=1e-15)
@@ -136,7 +136,7 @@ class TestPreSliding:
         network = jc.derive(robot.with_friction("dry"), lengths="numeric")
         start, no_torque = np.zeros((1, 1)), np.zeros((200, 1, 1))
         arguments = network, np.array([2.0, 4.0]), start, start + 1.3, no_torque, 0.01
-        path = simulate(*arguments, lengths=np.array([1e-6]), contact=np.ones((1, 1)))
+        path = simulate(*arguments, presliding_distance=np.array([1e-6]), contact=np.ones((1, 1)))
         assert_allclose(path, simulate(*arguments), atol=2e-3)
 
     def test_a_joint_that_sticks_beside_one_that_yields(self) -> None:
@@ -146,8 +146,8 @@ class TestPreSliding:
         start, push = np.zeros((1, 2)), np.zeros((100, 1, 2))
         push[..., 1] = np.asarray(network.gravity_term(k, start))[0, 1] + 0.3
         arguments = network, k, start, start, push, 0.01
-        path = simulate(*arguments, lengths=np.array([0.0, 0.05]))[:, 0]
-        both = simulate(*arguments, lengths=np.array([1e-9, 0.05]))[:, 0]
+        path = simulate(*arguments, presliding_distance=np.array([0.0, 0.05]))[:, 0]
+        both = simulate(*arguments, presliding_distance=np.array([1e-9, 0.05]))[:, 0]
         assert_allclose(path[:, 0], 0.0, atol=1e-6)
         assert_allclose(path[:, 1], both[:, 1], atol=1e-6)
         assert np.max(path[:, 1]) > 0.01
@@ -167,7 +167,7 @@ class TestPreSliding:
         settings = jc.Settings(jc.Preparation(jc.Butterworth(60.0)))
         result = prediction_error(
             *(network, {"with": k, "without": k}, recording, settings),
-            lengths={"with": lengths},
+            presliding_distance={"with": lengths},
             horizons=(0.1, 0.2, 0.5),
         )
         assert np.all(result.error["with"] < 0.1 * result.error["without"])

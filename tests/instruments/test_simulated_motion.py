@@ -7,7 +7,7 @@ import jaxcslc as jc
 import sim
 from jaxcslc.control import PID, Reference
 from jaxcslc.instruments import AbstractSimulatedMotion, ControlledMotion, CorrectedMotion
-from jaxcslc.instruments._simulated_motion import simulated_derivatives
+from jaxcslc.instruments._simulation import simulated_derivatives
 from jaxcslc.recordings import Recording
 
 

@@ -14,9 +14,9 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 import jaxcslc as jc
-from jaxcslc.friction import yielding_motion
 from jaxcslc.instruments import simulate
 from jaxcslc.instruments._simulation import Friction
+from tests.yielding_motion import yielding_motion
 
 
 def enumerated(

@@ -134,7 +134,7 @@ class TestFits:
         regression = fit_pre_sliding(network, settings.patterns(motion))
         fits = [
             jc.MaximumLikelihood(lengths=lengths, every=1).fit(network, motion)
-            for lengths in ((length,), tuple(regression.lengths.tolist()), ())
+            for lengths in ((length,), tuple(regression.presliding_distance.tolist()), ())
         ]
         assert all(fit.converged for fit in fits)
         dry, inertia = network.names.index("kd1"), network.names.index("kB1")

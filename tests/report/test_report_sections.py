@@ -181,7 +181,9 @@ def test_results_are_read_back(report: jc.Report, tmp_path: Path) -> None:
     if report.systematic is not None:
         np.testing.assert_array_equal(saved.systematic.total, report.systematic.total)
     if report.pre_sliding is not None:
-        np.testing.assert_array_equal(saved.pre_sliding.lengths, report.pre_sliding.lengths)
+        np.testing.assert_array_equal(
+            saved.pre_sliding.presliding_distance, report.pre_sliding.presliding_distance
+        )
         np.testing.assert_array_equal(saved.pre_sliding.fit.k, report.pre_sliding.fit.k)
     if report.estimators is not None:
         with pytest.raises(AttributeError, match="section\\('estimators'\\)"):

@@ -65,7 +65,7 @@ def rows_of(length: float, seed: int, samples: int) -> Iterator[dict[str, Any]]:
     (network, true), recorded = pendulum(), swing(length, seed, samples)
     started = time.process_time()
     regression = fit_pre_sliding(network, _SETTINGS.patterns(recorded))
-    identified = tuple(regression.lengths.tolist())
+    identified = tuple(regression.presliding_distance.tolist())
     fits: dict[str, tuple[float, ...]] = {
         "step": (),
         "states, length of regression": identified,

@@ -112,7 +112,7 @@ def _row(
         "report": name,
         "error": torque_error(report.network, np.asarray(fit.k) - true),
         "inside": float(100 * np.mean(((low <= true) & (true <= high))[known])),
-        "used_length": 0.0 if states is None else float(states.lengths[0]),
+        "used_length": 0.0 if states is None else float(states.presliding_distance[0]),
         "seconds": time.process_time() - started,
     }
 

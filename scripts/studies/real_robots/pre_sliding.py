@@ -44,7 +44,7 @@ def lines_of(name: str, arm: Arm) -> list[list[str]]:
         without = rms(torque - np.asarray(network.torque(plain.k, *states)), motion)
         with_states = rms(torque - np.asarray(result.torque(*states)[0]), motion)
         rows.append([name, test, *percent(with_states / without)])
-    lengths = (f"{1e3 * length:.2g}" if length else "none" for length in result.lengths)
+    lengths = (f"{1e3 * length:.2g}" if length else "none" for length in result.presliding_distance)
     rows.append([name, "length [mrad]", *lengths])
     return rows
 

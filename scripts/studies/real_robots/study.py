@@ -61,7 +61,10 @@ def torque_of(
         return np.asarray(model.network.torque(model.k, patterns.q, patterns.qd, patterns.qdd))
     network, k, states = model.network, model.k, model.states
     if states is not None:
-        network, k = along_motion(states.network, patterns, states.lengths), states.fit.k
+        network, k = (
+            along_motion(states.network, patterns, states.presliding_distance),
+            states.fit.k,
+        )
     return np.asarray(predicted_torque(network, patterns, k))
 
 

@@ -157,7 +157,7 @@ def test_friction_that_yields_is_seen() -> None:
     arm = pendulum(Path())
     time, q = np.asarray(arm.training.time), np.asarray(arm.training.position)
     sign = np.sign(np.cos(3 * time))[:, None]
-    w = np.asarray(jc.friction.pre_sliding(q, np.array([0.1]), np.zeros(1)))
+    w = np.asarray(jc.friction.contact_states(q, np.array([0.1]), np.zeros(1)))
     noise = 0.005 * np.random.default_rng(0).normal(size=q.shape)
     torque = np.asarray(arm.training.torque) + 0.1 * (w - sign) + noise
     recording = jc.Recording(time, q, torque)
