@@ -16,7 +16,7 @@ Modules, in reading order:
 - `_smoothing`, `_splines`, `_filters`: smoothing and differentiation.
 - `_low_pass`: zero-phase filters, and the filtering of whole equations.
 - `_reversals`: where joints turn round, for the splines.
-- `_masks`, `_residual_thresholds`: pairs that a fit leaves out.
+- `_masks`: pairs that a fit leaves out.
 - `_preparation`, `_patterns`: settings, and their result.
 """
 
@@ -68,10 +68,6 @@ from ._recording import (
     stale_rows as stale_rows,
     without_stale_rows as without_stale_rows,
 )
-from ._residual_thresholds import (
-    FrictionThresholds as FrictionThresholds,
-    thresholds_from_residuals as thresholds_from_residuals,
-)
 from ._reversals import Reversal as Reversal, find_reversals as find_reversals
 from ._sampling import (
     Sampling as Sampling,
@@ -114,7 +110,6 @@ __all__ = [
     "Derivatives",
     "Fault",
     "FilteredEquations",
-    "FrictionThresholds",
     "Patterns",
     "Preparation",
     "Recording",
@@ -160,7 +155,6 @@ __all__ = [
     "smoothing_from",
     "stale_rows",
     "static_fractions",
-    "thresholds_from_residuals",
     "uniform_interval",
     "without_rounding",
     "without_stale_rows",

@@ -1,7 +1,6 @@
 """Masks of joint-and-sample pairs: backlash, slow motion, reversals, and joints at rest.
 
 The thesis leaves out pairs in backlash (Eqn 2.5-7) and slow pairs (Section 7.2.2).
-`_residual_thresholds` finds the speeds from a fit's residuals.
 """
 
 from collections.abc import Sequence

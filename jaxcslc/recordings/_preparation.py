@@ -60,7 +60,7 @@ class Preparation:
       stands for `DEFAULT_THRESHOLD_FRACTION`, and for a tenth of it at joints whose network has a
       term of static friction: see `with_static_friction`.
     - `thresholds`: these speeds themselves, one for all joints or one for each [rad/s or m/s], in
-      place of `threshold_fraction`; or None. See `jaxcslc.recordings.thresholds_from_residuals`.
+      place of `threshold_fraction`; or None.
     - `backlash`: leave out the pairs that may be in backlash (Eqn 2.5-7), up to half of them. For
       transmissions that have it.
     - `reversal_margin`: samples to leave out on either side of each velocity reversal of a joint.
