@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._environment import array_namespace
+from ._recording import Signals
 
 
 Thresholds: TypeAlias = float | int | Sequence[float | int] | Float[np.ndarray, " joints"]
@@ -68,7 +69,7 @@ def possible_backlash(
 
 
 def friction_thresholds(
-    qd: Float[np.ndarray, "samples joints"], fraction: float | tuple[float, ...]
+    qd: Signals, fraction: float | tuple[float, ...]
 ) -> Float[np.ndarray, " joints"]:
     """Velocities below which static friction is taken to matter, joint by joint.
 
@@ -127,9 +128,7 @@ def static_fractions(fraction: float, joints: Sequence[bool]) -> float | tuple[f
     return tuple(slower if static else fraction for static in joints)
 
 
-def friction_mask(
-    qd: Float[np.ndarray, "samples joints"], thresholds: Thresholds
-) -> Bool[np.ndarray, "samples joints"]:
+def friction_mask(qd: Signals, thresholds: Thresholds) -> Bool[np.ndarray, "samples joints"]:
     """Mark the joint-and-sample pairs that move too fast for static friction (Section 7.2.2).
 
     **Arguments**
@@ -163,9 +162,7 @@ def friction_mask(
     return np.abs(qd) > limits
 
 
-def away_from_reversals(
-    qd: Float[np.ndarray, "samples joints"], margin: int
-) -> Bool[np.ndarray, "samples joints"]:
+def away_from_reversals(qd: Signals, margin: int) -> Bool[np.ndarray, "samples joints"]:
     """Mark the joint-and-sample pairs further than a margin from every velocity reversal.
 
     Smoothing spreads the jump that friction puts into an acceleration over about its own

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from ..recordings import MINIMUM_SAMPLES, RecordingError, first_fault, load_columns
+from ..recordings import MINIMUM_SAMPLES, RecordingError, check_samples, load_columns
 
 
 if TYPE_CHECKING:
@@ -52,10 +52,7 @@ class SystemRecording:
                 )
         if len(time) < MINIMUM_SAMPLES:
             raise RecordingError(f"{len(time)} samples; expected at least {MINIMUM_SAMPLES}")
-        fault = first_fault({**columns, "time": time})
-        if fault is not None and fault.row is not None:
-            where = "" if fault.column is None else f", {fault.column}"
-            raise RecordingError(f"sample {fault.row + 1}{where}: {fault.problem}")
+        check_samples({**columns, "time": time})
 
     @property
     def samples(self) -> int:

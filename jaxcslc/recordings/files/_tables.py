@@ -201,8 +201,7 @@ def _checked(
         seconds = np.asarray(time * (tick or factors[time_name]), np.float64)
         values = {name: np.asarray(v * factors[name], np.float64) for name, v in piece.items()}
         table = {"time": seconds, **values}
-        fault = first_fault(table, before)
-        if fault is not None and fault.row is not None:
+        if fault := first_fault(table, before):
             number = file.line(row + fault.row)
             where = f"row {row + fault.row + 1}" + ("" if number is None else f" (line {number})")
             name = time_name if fault.column == "time" else fault.column
