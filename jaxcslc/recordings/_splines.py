@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 import scipy
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from .._bounded_search import bounded_minima
 from ._recording import Samples, Signals
@@ -338,123 +338,78 @@ class AveragedSplines(AbstractSmoothing):
         return list(np.broadcast_to(np.asarray(self.tolerance, dtype=float), (joints,)))
 
 
-class _End(NamedTuple):
-    """End that all splines of a section share; `sample` is its time in numbers of samples."""
-
-    time: float
-    position: float
-    velocity: float
-    sample: float
-
-
 def _smooth_joint(
-    time: Samples,
-    position: Samples,
-    spacing: int,
-    window: int,
-    reversals: Sequence[Reversal],
+    time: Samples, position: Samples, spacing: int, window: int, reversals: Sequence[Reversal]
 ) -> Float[np.ndarray, "3 samples"]:
-    """Return position and derivatives of a joint that turns round at these instants."""
-    ends = [_open_end(time, position, window, first=True)]
-    instants = np.array([turn.time for turn in reversals])
-    samples = np.interp(instants, time, np.arange(time.size)).tolist()
-    ends += [
-        _End(turn.time, turn.position, 0.0, sample)
-        for turn, sample in zip(reversals, samples, strict=True)
-    ]
-    directions = [-turn.direction for turn in reversals[:1]] + [t.direction for t in reversals]
-    ends.append(_open_end(time, position, window, first=False))
-    return _average(time, position, spacing, ends, directions)
+    """Return position and derivatives of a joint that turns round at these instants.
 
-
-def _average(
-    time: Samples,
-    position: Samples,
-    spacing: int,
-    ends: Sequence[_End],
-    directions: Sequence[int],
-) -> Float[np.ndarray, "3 samples"]:
-    """Average the splines of each section between two ends over the samples inside it.
-
-    All splines of all sections are laid out one behind the other: one solve for the slopes at all
-    knots, and an evaluation for each spacing. (A recording has thousands of splines: an object of
-    SciPy's for each takes a hundred times as long.)
-
-    - `directions`: of each section's motion, 1 or -1; or none.
+    Sections end in nodes of known position and velocity. The splines of all sections through every
+    `spacing`-th sample, one behind the other, are one piecewise cubic, whose second derivative
+    jumps at these ends.
     """
-    starts, stops = np.array(ends[:-1]).T, np.array(ends[1:]).T  # fields of `_End`, (4, sections)
+    ends = [
+        _open_end(time, position, window, first=True),
+        *((turn.time, turn.position, 0.0) for turn in reversals),
+        _open_end(time, position, window, first=False),
+    ]
+    instants, positions, velocities = np.array(ends).T
+    samples = np.arange(time.size)
+    borders = np.interp(instants, time, samples)
+    section = np.clip(np.searchsorted(borders, samples, "right") - 1, 0, len(ends) - 2)
     # A knot close to an end would put the error of their difference, divided by a short interval,
     # into the velocity there.
-    lowest = np.ceil(starts[3] + 0.5 * spacing).astype(int)
-    highest = np.floor(stops[3] - 0.5 * spacing).astype(int)
-    # Of each section and spline: the sample of the first knot, and how many knots there are.
-    first = lowest[:, None] + (np.arange(spacing) - lowest[:, None]) % spacing
-    counts = np.maximum((highest[:, None] - first) // spacing + 1, 0)
-    # Nodes are the knots of all splines, and two ends of each.
-    ending = np.cumsum(counts.ravel() + 2)
-    firsts, lasts = ending - counts.ravel() - 2, ending - 1
-    within = np.arange(ending[-1]) - np.repeat(firsts, counts.ravel() + 2)
-    knots = np.repeat(first.ravel() - spacing, counts.ravel() + 2) + spacing * within
-    knots[firsts] = knots[lasts] = 0
-    section = np.repeat(np.arange(len(lowest)), counts.sum(axis=1) + 2 * spacing)
-    x, y = time[knots] - starts[0, section], position[knots]
-    duration = stops[0] - starts[0]
-    of_spline = np.repeat(np.arange(len(lowest)), spacing)
-    x[firsts], y[firsts] = 0.0, starts[1, of_spline]
-    x[lasts], y[lasts] = duration[of_spline], stops[1, of_spline]
-    steps = np.diff(x)
-    steps[lasts[:-1]] = 1.0  # between splines: nothing is there
-    slopes = _clamped_slopes(steps, y, firsts, lasts, starts[2, of_spline], stops[2, of_spline])
-    pieces = _hermite(steps, y, slopes)
-
-    # Samples inside the sections, section by section.
-    begin, end = np.ceil(starts[3]).astype(int), np.floor(stops[3]).astype(int) + 1
-    sample = np.concatenate([np.arange(*of) for of in zip(begin, end, strict=True)])
-    section = np.repeat(np.arange(len(begin)), end - begin)
-    # A hair before its end a spline is itself.
-    at = np.minimum(time[sample] - starts[0, section], duration[section] * (1.0 - 1e-12))
-    average = np.zeros((3, sample.size))
-    nodes = firsts.reshape(counts.shape)
-    table = np.concatenate([pieces, x[None, :-1]])
-    for number in range(spacing):  # the remainder of all knots of this spline
-        # A piece of it begins at each node but the last of a section, and has the samples from
-        # there to the next node: to repeat it is quicker than to look for the piece of each.
-        sizes = counts[:, number] + 1
-        stop = np.cumsum(sizes)
-        node = np.arange(stop[-1]) + np.repeat(nodes[:, number] - stop + sizes, sizes)
-        borders = np.append(knots[node], 0)
-        borders[stop - sizes] = begin
-        lengths = np.diff(borders)
-        lengths[stop - 1] = end - borders[stop - 1]
-        *cubic, origin = np.repeat(table[:, node], lengths, axis=1)
-        _add_derivatives(average, cubic, at - origin)
+    apart = np.minimum(samples - borders[section], borders[section + 1] - samples)
+    average = np.zeros((3, time.size))
+    for first in range(spacing):
+        knots = samples[first::spacing]
+        knots = knots[apart[knots] >= 0.5 * spacing]
+        ending = np.zeros(knots.size + len(ends), bool)
+        ending[np.searchsorted(knots, borders) + np.arange(len(ends))] = True
+        # Nodes, one a column: time, position, slope, and the first sample from there on.
+        nodes = np.zeros((4, ending.size))
+        nodes[:, ending] = instants, positions, velocities, np.ceil(borders)
+        nodes[:, ~ending] = time[knots], position[knots], np.zeros(knots.size), knots
+        x, y, slopes, starts = nodes
+        starts[-1] = time.size
+        pieces = np.vstack([_cubics(x, y, slopes, ending), x[:-1]])
+        *cubics, origin = np.repeat(pieces, np.diff(starts).astype(int), axis=1)
+        _add_cubics(average, cubics, time - origin)
     average /= spacing
-    if directions:
+    if reversals:
         # Rounding noise of a joint that hardly moves must not turn it round within a section.
-        average[1, np.array(directions)[section] * average[1] < 0.0] = 0.0
-    derivatives = np.empty((3, time.size))
-    derivatives[:, sample] = average
-    return derivatives
+        directions = np.array([-reversals[0].direction, *(turn.direction for turn in reversals)])
+        average[1, directions[section] * average[1] < 0.0] = 0.0
+    return average
 
 
-def _hermite(
-    steps: Float[np.ndarray, " steps"],
+def _cubics(
+    x: Float[np.ndarray, " nodes"],
     y: Float[np.ndarray, " nodes"],
     slopes: Float[np.ndarray, " nodes"],
-) -> Float[np.ndarray, "4 steps"]:
-    """Return coefficients of the cubics between nodes, the highest power first."""
-    rises = np.diff(y) / steps
-    bend = (slopes[:-1] + slopes[1:] - 2.0 * rises) / steps
-    return np.stack([bend / steps, (rises - slopes[:-1]) / steps - bend, slopes[:-1], y[:-1]])
+    given: Bool[np.ndarray, " nodes"],
+) -> Float[np.ndarray, "4 pieces"]:
+    """Return coefficients of cubics between nodes, the highest power first.
+
+    Where no slope is given, the second derivative is continuous:
+    `h1 m0 + 2 (h0 + h1) m1 + h0 m2 = 3 (h1 (y1 - y0)/h0 + h0 (y2 - y1)/h1)`.
+    """
+    steps = np.diff(x)
+    rises, before, after = np.diff(y) / steps, steps[:-1], steps[1:]
+    free = ~given[1:-1]  # the outermost nodes are ends
+    below, above = np.append(after * free, 0.0), np.append(0.0, before * free)
+    diagonal, right = np.ones(y.size), slopes.copy()
+    diagonal[1:-1][free] = 2.0 * (before + after)[free]
+    right[1:-1][free] = 3.0 * (after * rises[:-1] + before * rises[1:])[free]
+    *_, m, _ = scipy.linalg.lapack.dgtsv(below, diagonal, above, right)
+    bend = (m[:-1] + m[1:] - 2.0 * rises) / steps
+    return np.stack([bend / steps, (rises - m[:-1]) / steps - bend, m[:-1], y[:-1]])
 
 
-def _add_derivatives(
-    total: Float[np.ndarray, "3 samples"],
-    cubic: Sequence[Samples],
-    x: Samples,
+def _add_cubics(
+    total: Float[np.ndarray, "3 samples"], cubics: Sequence[Samples], x: Samples
 ) -> None:
     """Add values and two derivatives of cubics to their sums."""
-    a, b, c, d = cubic
+    a, b, c, d = cubics
     highest = a * x
     total[0] += ((highest + b) * x + c) * x + d
     highest *= 3.0
@@ -463,52 +418,17 @@ def _add_derivatives(
     total[1] += (highest + b) * x + c
 
 
-def _clamped_slopes(
-    steps: Float[np.ndarray, " steps"],
-    y: Float[np.ndarray, " nodes"],
-    firsts: Int[np.ndarray, " splines"],
-    lasts: Int[np.ndarray, " splines"],
-    first_slopes: Float[np.ndarray, " splines"],
-    last_slopes: Float[np.ndarray, " splines"],
-) -> Float[np.ndarray, " nodes"]:
-    """Return slopes at the nodes of cubic splines, one behind the other, with given end slopes.
-
-    The second derivative is continuous at an inner node if
-    `h1 m0 + 2 (h0 + h1) m1 + h0 m2 = 3 (h1 (y1 - y0)/h0 + h0 (y2 - y1)/h1)`.
-    """
-    rises = np.diff(y) / steps
-    before, after = steps[:-1], steps[1:]
-    bands = np.zeros((3, y.size))
-    right = np.zeros(y.size)
-    bands[1, 1:-1] = 2.0 * (before + after)
-    bands[0, 2:] = before
-    bands[2, :-2] = after
-    right[1:-1] = 3.0 * (after * rises[:-1] + before * rises[1:])
-    for ends, slopes in ((firsts, first_slopes), (lasts, last_slopes)):
-        bands[1, ends], right[ends] = 1.0, slopes
-        bands[0, (ends + 1)[ends + 1 < y.size]] = 0.0
-        bands[2, (ends - 1)[ends > 0]] = 0.0
-    return scipy.linalg.solve_banded((1, 1), bands, right)
-
-
 def _open_end(
-    time: Samples,
-    position: Samples,
-    window: int,
-    *,
-    first: bool,
-) -> _End:
-    """Return an end of the record, of a cubic fitted to the samples next to it."""
+    time: Samples, position: Samples, window: int, *, first: bool
+) -> tuple[float, float, float]:
+    """Return time, position and velocity at an end of the record, of a cubic fitted next to it."""
     count = min(max(window, 4), time.size)
     near = slice(0, count) if first else slice(time.size - count, time.size)
-    sample = 0 if first else time.size - 1
+    end = time[0 if first else -1]
     scale = time[near][-1] - time[near][0]
-    ahead = (time[near] - time[sample]) / scale
-    design = np.vander(ahead, min(4, count), increasing=True)
+    design = np.vander((time[near] - end) / scale, min(4, count), increasing=True)
     coefficients, *_ = np.linalg.lstsq(design, position[near], rcond=None)
-    return _End(
-        float(time[sample]), float(coefficients[0]), float(coefficients[1] / scale), float(sample)
-    )
+    return float(end), float(coefficients[0]), float(coefficients[1] / scale)
 
 
 def left_out_error(

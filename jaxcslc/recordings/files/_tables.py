@@ -5,7 +5,6 @@ CSV, Parquet and NumPy's `.npz` are read here, bags of ROS in `_bag`. `open_tabl
 
 import contextlib
 import csv
-import io
 import itertools
 import re
 import struct
@@ -385,28 +384,30 @@ def _csv_pieces(path: Path, header: _CsvHeader, layout: ColumnLayout) -> Iterato
         start = header.first[header.names.index(time)].strip()
         if start.isdigit() and len(start) > _EXACT_DIGITS:  # as nanoseconds since 1970
             types[numbers[time]] = pa.int64()
+    read_options = pacsv.ReadOptions(
+        block_size=2 * _READ_BYTES,
+        use_threads=False,
+        column_names=[str(i) for i in range(len(header.names))],
+    )
+    convert_options = pacsv.ConvertOptions(
+        column_types=types, include_columns=list(types), null_values=[]
+    )
     try:
         with path.open("rb") as file:
             for _ in range(header.lines):
                 file.readline()
-            lines = io.BufferedReader(_DataLines(file, header.delimiter), _READ_BYTES)
-            if not lines.peek(1):
-                return
-            with pacsv.open_csv(
-                lines,
-                # Reading ahead on other threads would hold blocks that no one has asked for.
-                read_options=pacsv.ReadOptions(
-                    block_size=_READ_BYTES,
-                    use_threads=False,
-                    column_names=[str(i) for i in range(len(header.names))],
-                ),
-                parse_options=pacsv.ParseOptions(delimiter=header.delimiter),
-                convert_options=pacsv.ConvertOptions(
-                    column_types=types, include_columns=list(types), null_values=[]
-                ),
-            ) as reader:
-                for batch in reader:
-                    yield dict(zip(numbers, map(_array, batch.columns), strict=True))
+            while lines := file.read(_READ_BYTES) + file.readline():
+                data = _data_of(lines, header.delimiter)
+                if not data.strip():
+                    continue
+                rows = pacsv.read_csv(
+                    pa.BufferReader(data),
+                    read_options,
+                    pacsv.ParseOptions(delimiter=header.delimiter),
+                    convert_options,
+                )
+                columns = (_array(column.combine_chunks()) for column in rows.columns)
+                yield dict(zip(numbers, columns, strict=True))
     except (pa.ArrowInvalid, UnicodeDecodeError) as error:
         # Arrow names the cell of some faults only, and not its line: look again, slowly.
         raise _faulty_cell(path, header, layout.names) or RecordingError(
@@ -414,35 +415,14 @@ def _csv_pieces(path: Path, header: _CsvHeader, layout: ColumnLayout) -> Iterato
         ) from error
 
 
-class _DataLines(io.RawIOBase):
-    """A file's lines of data: without comments, and one space between cells where spaces part them.
-
-    - `file`: at its first line of data.
-    - `delimiter`: between cells.
-    """
-
-    def __init__(self, file: io.BufferedReader, delimiter: str):
-        self._file, self._delimiter = file, delimiter
-        self._block = memoryview(b"")
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: memoryview) -> int:  # pyright: ignore[reportIncompatibleMethodOverride]
-        while not self._block:
-            block = self._file.read(_READ_BYTES) + self._file.readline()
-            if not block:
-                return 0
-            if b"#" in block:
-                lines = block.splitlines(keepends=True)
-                block = b"".join(line for line in lines if not line.lstrip().startswith(b"#"))
-            if self._delimiter == " ":
-                block = re.sub(rb"[ ]*(\r?\n)[ ]*|(?<=[ ])[ ]+", rb"\1", block).lstrip(b" ")
-            self._block = memoryview(block)
-        size = min(len(buffer), len(self._block))
-        buffer[:size] = self._block[:size]
-        self._block = self._block[size:]
-        return size
+def _data_of(lines: bytes, delimiter: str) -> bytes:
+    """Return lines without comments, and with one space between cells where spaces part them."""
+    if b"#" in lines:
+        kept = lines.splitlines(keepends=True)
+        lines = b"".join(line for line in kept if not line.lstrip().startswith(b"#"))
+    if delimiter == " ":
+        lines = re.sub(rb"[ ]*(\r?\n)[ ]*|(?<=[ ])[ ]+", rb"\1", lines).lstrip(b" ")
+    return lines
 
 
 def _faulty_cell(path: Path, header: _CsvHeader, names: Sequence[str]) -> RecordingError | None:
