@@ -2,16 +2,17 @@
 
     recordings ──► samples, clock ──► evidence ──► motion and torque ──► agreement ──► DataCheck
 
-- `_check`: the entry point, `check`.
+- `_check`: the entry point, `check`, and summaries of what was read.
+- `_findings`: the table of causes and remedies.
 - `_sample_findings`: clock, stale rows, outliers, clipping.
 - `_evidence`: the low-passed part of a recording that hypotheses are scored on.
-- `_hypotheses`, `_motion_findings`, `_torque_lag`: faults in columns, and the lag of torques.
-- `_agreement_findings`: recordings that differ from the first; `_summary`: what was read.
+- `_motion_findings`, `_torque_lag`: faults in columns, the lag of torques, and recordings that
+  differ from the first.
 """
 
-from ._agreement_findings import AGREEMENT_KINDS as AGREEMENT_KINDS
 from ._check import DataCheck as DataCheck, check as check
-from ._sample_findings import Finding as Finding, without_outliers as without_outliers
+from ._findings import AGREEMENT_KINDS as AGREEMENT_KINDS, Finding as Finding
+from ._sample_findings import without_outliers as without_outliers
 from ._torque_lag import (
     TorqueLag as TorqueLag,
     estimate_torque_lag as estimate_torque_lag,

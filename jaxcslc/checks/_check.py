@@ -5,26 +5,21 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from .._text_table import text_table
+from ..manipulator import JointLimits
 from ..network import CSLC, derive
-from ..recordings import MINIMUM_SAMPLES, Recording, stale_rows
-from ._agreement_findings import agreement_findings, rate_findings
+from ..recordings import MINIMUM_SAMPLES, Recording, encoder_resolution, stale_rows
 from ._evidence import Evidence
-from ._motion_findings import motion_findings
+from ._findings import SPOILING_KINDS, Finding, finding
+from ._motion_findings import agreement_findings, motion_findings, rate_findings
 from ._sample_findings import (
-    Finding,
+    Outliers,
     clipping,
     clock_findings,
-    outlier_findings,
-    outliers_of,
+    repeats_row_before,
     sample_findings,
     time_unit,
-    without_outliers,
 )
-from ._summary import RecordingSummary
-
-
-# With one of these, no model explains the torque, and everything computed says so again.
-_SPOILING = ("time unit", "angle unit", "torque unit", "sign", "swapped joints", "wrong robot")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,7 +39,7 @@ class DataCheck:
     warning: gap: no samples from 2 s to 5 s. Likely cause: rows were lost. Remedy: record again
     """
 
-    recordings: tuple[RecordingSummary, ...]
+    recordings: "tuple[RecordingSummary, ...]"
     findings: tuple[Finding, ...]
 
     def unexplained(self, warnings: Sequence[str]) -> tuple[str, ...]:
@@ -57,18 +52,18 @@ class DataCheck:
         >>> print(*DataCheck((), (degrees,)).unexplained(["elbow: a large error"]))
         1 warning about errors and bodies is left out: positions are in degrees; mend that first
         """
-        causes = [finding.cause for finding in self.findings if finding.kind in _SPOILING]
+        causes = [found.cause for found in self.findings if found.kind in SPOILING_KINDS]
         if not causes or not warnings:
             return tuple(warnings)
-        many = f"{len(warnings)} warnings" if len(warnings) > 1 else "1 warning"
-        are = "are" if len(warnings) > 1 else "is"
+        many = "1 warning" if len(warnings) == 1 else f"{len(warnings)} warnings"
+        are = "is" if len(warnings) == 1 else "are"
         return (
             f"{many} about errors and bodies {are} left out: {'; '.join(causes)}; mend that first",
         )
 
     def __str__(self) -> str:
         pages = [str(recording) for recording in self.recordings]
-        lines = [f"warning: {finding}" for finding in self.findings] or ["nothing looks wrong"]
+        lines = [f"warning: {found}" for found in self.findings] or ["nothing looks wrong"]
         return "\n\n".join([*pages, "\n".join(lines)])
 
 
@@ -79,7 +74,7 @@ def check(
     *,
     progress: Callable[[str], None] | None = None,
 ) -> DataCheck:
-    """Checks recordings of a robot for wrong units, signs, times and samples.
+    """Check recordings of a robot for wrong units, signs, times and samples.
 
     Needs no coefficients: torque is linear in them, so a recording whose columns belong together
     is one that some coefficients explain. Each hypothesis (a joint's sign, two joints swapped,
@@ -100,13 +95,10 @@ def check(
 
     - `ValueError`: a recording of another number of joints.
 
-    >>> import numpy as np, jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.arange(4000)[:, None] * 0.002
-    >>> q, qd, qdd = np.sin(3 * t), 3 * np.cos(3 * t), -9 * np.sin(3 * t)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
-    >>> milliseconds = jc.Recording(1000 * t[:, 0], q, torque)
+    >>> import dataclasses, jaxcslc as jc
+    >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric")
+    >>> recording = jc.examples.swing_recording(network, [0.5, 0.3, -0.1, 0.2, 0.05])
+    >>> milliseconds = dataclasses.replace(recording, time=1000 * recording.time)
     >>> [finding.cause for finding in jc.check(network, milliseconds).findings]
     ['time is in milliseconds']
     """
@@ -118,7 +110,7 @@ def check(
     network = _with_fewest_coefficients(network)
     findings: list[Finding] = []
     summaries: list[RecordingSummary] = []
-    evidence: list[Evidence | None] = []
+    usable: list[tuple[Evidence, str]] = []
     for recording, name in zip(listed, labels, strict=True):
         if recording.joints != network.joint_count:
             raise ValueError(
@@ -126,24 +118,21 @@ def check(
                 f" {network.joint_count}"
             )
         step(f"checking {name}")
-        one = _Check(network, recording)
+        found, summary, evidence = _check_one(network, recording, name)
         label = name if len(listed) > 1 else ""
-        findings += [dataclasses.replace(finding, recording=label) for finding in one.findings]
-        summary = RecordingSummary.of(network, one.recording, name)
-        summaries.append(dataclasses.replace(summary, excitation=one.excitation))
-        evidence.append(one.evidence)
+        findings += [dataclasses.replace(one, recording=label) for one in found]
+        summaries.append(summary)
+        usable += [] if evidence is None else [(evidence, name)]
     if len(listed) > 1:
         findings += rate_findings([summary.rate for summary in summaries], labels)
-        usable = [(e, name) for e, name in zip(evidence, labels, strict=True) if e is not None]
-        if len(usable) > 1:
-            step("comparing recordings")
-            kept, kept_labels = zip(*usable, strict=True)
-            findings += agreement_findings(network, kept, kept_labels)
+    if len(usable) > 1:
+        step("comparing recordings")
+        findings += agreement_findings(network, *zip(*usable, strict=True))
     return DataCheck(tuple(summaries), tuple(findings))
 
 
 def _with_fewest_coefficients(network: CSLC) -> CSLC:
-    """The network with numeric lengths, where all of them have values, and no static friction.
+    """Return the network with numeric lengths, where all have values, and no static friction.
 
     Static friction is hardly determined by smoothed motion, and may then be anything in another;
     friction that follows the load takes a search, and is left out, too.
@@ -159,65 +148,145 @@ def _with_fewest_coefficients(network: CSLC) -> CSLC:
     return CSLC(algebra=numeric.algebra, terms=terms)
 
 
-class _Check:
-    """The checks of one recording, each on what those before it have mended."""
+def _check_one(
+    network: CSLC, recording: Recording, name: str
+) -> "tuple[list[Finding], RecordingSummary, Evidence | None]":
+    """Check a recording, each time with what was found before mended."""
+    joints = network.output_names
+    factor, wrong_unit = time_unit(recording)
+    findings = [] if wrong_unit is None else [wrong_unit]
+    if wrong_unit is not None:
+        velocity, acceleration = recording.velocity, recording.acceleration
+        recording = dataclasses.replace(
+            recording,
+            time=(recording.time - recording.time[0]) * factor,
+            velocity=None if velocity is None else velocity / factor,
+            acceleration=None if acceleration is None else acceleration / factor**2,
+        )
+    findings += clock_findings(recording)
+    outliers = Outliers.of(recording)
+    findings += outliers.findings(recording, joints)
+    source = network.robot.source
+    fixable = source is not None and source.format != "toml"
+    findings += sample_findings(recording, joints, fixable=fixable)
+    mended, valid = outliers.mended(recording), ~clipping(recording.torque)
+    # Rows whose positions all repeat those of the row before: of a slower source, or stale.
+    same = repeats_row_before(mended.position)
+    fresh = ~(same if np.mean(same) > _SLOW_SOURCE else stale_rows(mended))
+    if MINIMUM_SAMPLES < fresh.sum() < fresh.size:
+        mended, valid = mended.rows(fresh), valid[fresh]
+    evidence, excitation = None, ""
+    try:
+        evidence = Evidence.of(network, mended, valid)
+    except ValueError as error:  # too short for its smoothing, or nothing moves
+        findings.append(finding("motion", str(error)))
+    else:
+        found, evidence, excitation = motion_findings(evidence)
+        findings += found
+    return findings, RecordingSummary.of(network, recording, name, excitation), evidence
 
-    def __init__(self, network: CSLC, recording: Recording) -> None:
-        self.network = network
-        self.names = network.output_names
-        self.findings: list[Finding] = []
-        self.evidence: Evidence | None = None
-        self.excitation = ""
-        factor, finding = time_unit(recording)
-        if finding is not None:
-            self.findings.append(finding)
-            recording = _with_time(recording, factor)
-        self.recording = recording
-        self.findings += clock_findings(recording)
-        outlying = outliers_of(recording)
-        self.findings += outlier_findings(recording, outlying, self.names)
-        source = network.robot.source
-        fixable = source is not None and source.format != "toml"
-        self.findings += sample_findings(recording, self.names, fixable=fixable)
-        clipped = clipping(recording.torque)
-        valid = ~clipped if clipped.mean() > 0 else None
-        mended = without_outliers(recording)
-        self._judge_motion(mended, valid)
 
-    def _judge_motion(self, recording: Recording, valid: np.ndarray | None) -> None:
-        fresh = ~_without_news(recording)
-        if not fresh.all() and fresh.sum() > MINIMUM_SAMPLES:
-            recording = recording.rows(fresh)
-            valid = None if valid is None else valid[fresh]
-        try:
-            evidence = Evidence.of(self.network, recording, valid)
-        except ValueError as error:  # too short for its smoothing, or nothing moves
-            self.findings.append(
-                Finding(
-                    "motion",
-                    "",
-                    str(error),
-                    "the recording is too short or hardly moves",
-                    "record a longer motion of all joints",
-                )
+_SLOW_SOURCE = 0.3  # part of rows that repeat positions from which their source is slower
+_REST = 0.01  # part of a joint's greatest speed below which it is at rest
+
+
+@dataclasses.dataclass(frozen=True)
+class JointSummary:
+    """Summary of one joint in a recording.
+
+    - `name`: of the joint.
+    - `low`, `high`: of its position [rad or m].
+    - `speed`: that 99.9 % of its samples do not exceed [rad/s or m/s].
+    - `torque`: root mean square [N m or N]; `largest`: greatest absolute value.
+    - `resolution`: step of its encoder; 0 where readings show no steps [rad or m].
+    - `resting_share`: part of the samples at which it hardly moves.
+    - `limits`: of the robot's file, or None.
+    """
+
+    name: str
+    low: float
+    high: float
+    speed: float
+    torque: float
+    largest: float
+    resolution: float
+    resting_share: float
+    limits: JointLimits | None
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordingSummary:
+    """Summary of a recording.
+
+    - `name`: of the recording.
+    - `samples`, `duration`, `rate`: how many there are, and how fast [s, Hz].
+    - `joints`: one `JointSummary` each.
+    - `prismatic`: whether the robot has prismatic joints.
+    - `excitation`: in words; empty where it was not computed.
+    """
+
+    name: str
+    samples: int
+    duration: float
+    rate: float
+    joints: tuple[JointSummary, ...]
+    prismatic: bool = False
+    excitation: str = ""
+
+    @classmethod
+    def of(
+        cls, network: CSLC, recording: Recording, name: str, excitation: str
+    ) -> "RecordingSummary":
+        """Summarise a recording of a robot, times in seconds."""
+        time, position, torque = recording.time, recording.position, recording.torque
+        interval = float(np.median(np.diff(time)))
+        # Over some ten milliseconds, in which encoder steps and outliers do not show.
+        reach = max(1, min(round(0.02 / interval), recording.samples // 4))
+        passed = (time[2 * reach :] - time[: -2 * reach])[:, None]
+        speed = np.abs(position[2 * reach :] - position[: -2 * reach]) / passed
+        top = np.quantile(speed, 0.999, axis=0)
+        columns = (
+            np.min(position, axis=0),
+            np.max(position, axis=0),
+            top,
+            np.sqrt(np.mean(torque**2, axis=0)),
+            np.max(np.abs(torque), axis=0),
+            encoder_resolution(position),
+            np.mean(speed <= _REST * top, axis=0),
+        )
+        values = zip(*(column.tolist() for column in columns), strict=True)
+        joints = tuple(
+            JointSummary(joint, *of_joint, limits=limits)
+            for joint, of_joint, limits in zip(
+                network.output_names, values, network.joint_limits, strict=True
             )
-            return
-        findings, self.evidence, self.excitation = motion_findings(evidence)
-        self.findings += findings
+        )
+        duration, prismatic = float(time[-1] - time[0]), "P" in network.joint_kinds
+        rate = 1.0 / interval
+        return cls(name, recording.samples, duration, rate, joints, prismatic, excitation)
+
+    def __str__(self) -> str:
+        columns = {
+            "joint": lambda joint: joint.name,
+            "from": lambda joint: f"{joint.low:.3g}",
+            "to": lambda joint: f"{joint.high:.3g}",
+            "top speed": lambda joint: f"{joint.speed:.3g}",
+            "(limit)": lambda joint: _limit(joint.limits and joint.limits.speed),
+            "torque RMS": lambda joint: f"{joint.torque:.3g}",
+            "largest": lambda joint: f"{joint.largest:.3g}",
+            "limit": lambda joint: _limit(joint.limits and joint.limits.torque),
+            "encoder step": lambda joint: f"{joint.resolution:.2g}" if joint.resolution else "none",
+            "at rest": lambda joint: f"{100 * joint.resting_share:.0f} %",
+        }
+        cells = [[shown(joint) for shown in columns.values()] for joint in self.joints]
+        title = (
+            f"{self.name}: {self.samples} samples in {self.duration:.4g} s,"
+            f" {self.rate:.4g} a second; positions in rad, speeds in rad/s, torques in N m"
+            + (" (of prismatic joints m, m/s and N)" if self.prismatic else "")
+        )
+        table = text_table(list(columns), cells, left=["joint"])
+        return "\n".join([title, table, *([self.excitation] if self.excitation else [])])
 
 
-def _with_time(recording: Recording, factor: float) -> Recording:
-    velocity, acceleration = recording.velocity, recording.acceleration
-    return dataclasses.replace(
-        recording,
-        time=(recording.time - recording.time[0]) * factor,
-        velocity=None if velocity is None else velocity / factor,
-        acceleration=None if acceleration is None else acceleration / factor**2,
-    )
-
-
-def _without_news(recording: Recording) -> np.ndarray:
-    """Rows whose positions all repeat those of the row before: of a slower source, or stale."""
-    stale = stale_rows(recording)
-    same = np.append(False, np.all(recording.position[1:] == recording.position[:-1], axis=1))
-    return same if np.mean(same) > 0.3 else stale
+def _limit(value: float | None) -> str:
+    return "" if value is None or not np.isfinite(value) else f"{value:.3g}"

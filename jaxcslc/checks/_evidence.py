@@ -1,5 +1,6 @@
 """Low-passed part of a recording on which hypotheses about its columns are scored."""
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 from functools import cached_property
@@ -43,8 +44,6 @@ class PriorFit:
 
     Joint by joint, torque is a factor times the file's torque, plus friction and an offset.
 
-    **Attributes**
-
     - `factor`: (n,) of each joint; 1 where file and recording agree.
     - `explained`: (n,) part of the variance that friction leaves and the file's torque explains.
     - `size`: (n,) root mean square of the file's torque, over that of the recorded torque.
@@ -68,13 +67,9 @@ class PriorFit:
 
 
 def prior_fit(network: CSLC, patterns: Patterns, columns: HostColumns) -> PriorFit | None:
-    """Compares recorded torque with that of the file's masses; None if the file has none.
+    """Compare recorded torque with that of the file's masses; None if the file has none.
 
-    **Arguments**
-
-    - `network`: n joints.
-    - `patterns`: of n joints.
-    - `columns`: of the regressor of their motion.
+    - `columns`: of the regressor of the patterns' motion.
     """
     robot = network.robot
     if robot.links is None or not any(float(link.mass) for link in robot.links):
@@ -101,7 +96,7 @@ def prior_fit(network: CSLC, patterns: Patterns, columns: HostColumns) -> PriorF
 def _errors(
     patterns: Patterns, terms: Float[np.ndarray, "terms samples joints"], mask: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Root mean square errors of joints with coefficients of their own, and the first of these."""
+    """Fit joints with coefficients of their own; return root mean square errors, and the first."""
     count, samples, joints = terms.shape
     unknowns = Unknowns(
         tuple(f"{joint} {term}" for joint in range(joints) for term in range(count)),
@@ -140,9 +135,6 @@ class Evidence:
     Positions and torques pass one low pass, which delays neither and leaves its noise in neither,
     and are thinned out to what is left of them.
 
-    **Attributes**
-
-    - `network`: n joints.
     - `recording`: the part of it that is looked at, at even times.
     - `valid`: False for samples of a joint that are no measurements of it.
     - `patterns`: low-passed and thinned out.
@@ -166,10 +158,7 @@ class Evidence:
         recording: Recording,
         valid: Bool[np.ndarray, "samples joints"] | None = None,
     ) -> "Evidence":
-        """The evidence of a recording.
-
-        - `valid`: False for samples of a joint that are no measurements of it.
-        """
+        """Low-pass and thin out a recording; **raises** `ValueError` if it is too short."""
         valid = np.ones(recording.position.shape, bool) if valid is None else valid
         recording, valid = _window(recording, valid)
         # From zero on: a tenth of a microsecond is lost in seconds since 1970.
@@ -226,7 +215,7 @@ class Evidence:
         return torque_of(self.network, at_rest, np.asarray(self.fit.k))
 
     def columns(self, patterns: Patterns) -> HostColumns:
-        """The regressor's columns of patterns, those of the evidence or others."""
+        """Return the regressor's columns of patterns, those of the evidence or others."""
         return self._columns if patterns is self.patterns else columns_of(self.network, patterns)
 
     @cached_property
@@ -236,7 +225,7 @@ class Evidence:
     def coefficients(
         self, patterns: Patterns, columns: HostColumns
     ) -> Float[np.ndarray, " coefficients"]:
-        """The coefficients fitted to patterns, as those of `fit`."""
+        """Return the coefficients fitted to patterns, as those of `fit`."""
         if patterns is self.patterns:
             return np.asarray(self.fit.k)
         return _SOLVER.coefficients(equations_of(self.network, patterns, None, columns))
@@ -251,7 +240,7 @@ class Evidence:
         patterns: Patterns,
         columns: HostColumns | None = None,
     ) -> Float[np.ndarray, " joints"]:
-        """Held-out error of each joint as part of its torque's root mean square.
+        """Return the held-out error of each joint as part of its torque's root mean square.
 
         - `columns`: of the patterns' motion, if they are known already.
         """
@@ -283,7 +272,7 @@ class Evidence:
         patterns: Patterns,
         columns: HostColumns | None = None,
     ) -> float:
-        """Mean logarithm of these errors: the smaller, the better the patterns belong together."""
+        """Return the mean logarithm of these errors: the smaller, the better patterns fit."""
         errors = (
             self.relative_errors if patterns is self.patterns else self.errors(patterns, columns)
         )
@@ -293,7 +282,7 @@ class Evidence:
 def _far_from_invalid(
     valid: Bool[np.ndarray, "samples joints"], reach: int
 ) -> Bool[np.ndarray, "samples joints"]:
-    """True where all samples up to `reach` before and behind are valid."""
+    """Mark where all samples up to `reach` before and behind are valid."""
     passed = np.concatenate([np.zeros((1, valid.shape[1]), int), np.cumsum(~valid, axis=0)])
     sample = np.arange(len(valid))
     before, behind = np.maximum(sample - reach, 0), np.minimum(sample + reach + 1, len(valid))
@@ -303,10 +292,9 @@ def _far_from_invalid(
 def _window(
     recording: Recording, valid: Bool[np.ndarray, "samples joints"]
 ) -> tuple[Recording, Bool[np.ndarray, "remaining joints"]]:
-    samples = recording.samples
-    if samples <= _MOST_SAMPLES:
+    """Return the window with the most motion of a longer recording."""
+    if recording.samples <= _MOST_SAMPLES:
         return recording, valid
-    # The stretch with the most motion.
     change = np.abs(np.diff(recording.position, axis=0, prepend=recording.position[:1]))
     change = (change / np.maximum(np.ptp(recording.position, axis=0), 1e-12)).sum(axis=1)
     total = np.concatenate([[0.0], np.cumsum(change)])
@@ -318,11 +306,10 @@ def _window(
 def _uniform(
     recording: Recording, valid: Bool[np.ndarray, "samples joints"]
 ) -> tuple[Recording, Bool[np.ndarray, "remaining joints"]]:
-    try:
+    """Bring a recording to even times, without what lies in gaps."""
+    with contextlib.suppress(ValueError):
         uniform_interval(recording.time)
         return recording, valid
-    except ValueError:
-        pass
     interval = float(np.median(np.diff(recording.time)))
     uniform = resample(recording, interval)
     nearest = np.clip(np.searchsorted(recording.time, uniform.time), 1, recording.samples - 1)
@@ -332,6 +319,7 @@ def _uniform(
 
 
 def _cutoff(recording: Recording, interval: float) -> float:
+    """Return the highest cut-off that leaves little noise in the accelerations [Hz]."""
     noise = noise_level(recording.position)
     highest = min(_HIGHEST, 0.2 / interval)
     for cutoff in np.geomspace(highest, min(_LOWEST, highest), 6):

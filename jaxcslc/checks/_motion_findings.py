@@ -1,22 +1,31 @@
-"""Findings from how motion and torque belong together: likeliest cause first."""
+"""Findings from how motion and torque belong together: likeliest cause first.
+
+Hypotheses about a recording's columns (signs, order, units) are scored by their held-out errors,
+see `_evidence`; recordings are compared with the first by its coefficients.
+"""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from .._rank import numerical_rank
+from ..least_squares import HostColumns, LeastSquares, regressor_of, reidentify
 from ..network import CSLC
-from ..recordings import Preparation, Recording, noise_level
+from ..recordings import Patterns, Preparation, Recording, noise_level
 from ._evidence import WELL, Evidence, PriorFit
-from ._hypotheses import Change, Hypothesis, angle_units, driven_joints, objective, sign_and_order
-from ._sample_findings import Finding, motionless
+from ._findings import Finding, finding
+from ._sample_findings import OTHER_RATE, motionless
 from ._torque_lag import LEAST_LAG, TorqueLag, torque_lag_of
 
 
-# How much lower the mean logarithm of the joints' errors must be once a cause is mended.
+# How much lower the mean logarithm of the joints' errors must be once a cause is mended; causes
+# whose gains differ by a third of that are told apart by chance.
 _LEAST_GAIN = 0.15
+_ALIKE = _LEAST_GAIN / 3.0
 # Errors of less than this part of the torque leave nothing to explain.
 _SMALL = 0.03
 # Torques of this many times those of the file's masses are in another unit.
@@ -30,8 +39,7 @@ _TAME = 0.35
 _ROUNDS = 3
 
 
-@dataclasses.dataclass(frozen=True)
-class Cause:
+class _Cause(NamedTuple):
     """A finding, the recording without what it names, and how much better that is explained."""
 
     finding: Finding
@@ -44,10 +52,6 @@ def motion_findings(evidence: Evidence) -> tuple[list[Finding], Evidence, str]:
 
     The likeliest cause is mended before the next one is looked for.
 
-    **Arguments**
-
-    - `evidence`: of the recording.
-
     **Returns** the findings, the evidence of the recording without what they name, and a sentence
     about its excitation.
     """
@@ -59,234 +63,323 @@ def motion_findings(evidence: Evidence) -> tuple[list[Finding], Evidence, str]:
         findings.append(cause.finding)
         evidence = Evidence.of(evidence.network, cause.recording, evidence.valid)
     wrong = _wrong_robot(evidence)
-    if wrong is not None and findings:
+    if wrong is not None:
         # What mends one joint of another robot is chance; a common factor of torques is not.
-        findings = [finding for finding in findings if finding.kind == "torque unit"]
-    findings += [] if wrong is None else [wrong]
+        findings = [*(found for found in findings if found.kind == "torque unit"), wrong]
     if not findings:
         findings += _beyond_limits(evidence)
     tame, excitation = _excitation(evidence)
     return findings + tame, evidence, excitation
 
 
-def _likeliest(evidence: Evidence) -> Cause | None:
-    patterns = evidence.patterns
-    names = evidence.network.output_names
-    errors = evidence.relative_errors
-    score = objective(evidence, patterns)
+def _likeliest(evidence: Evidence) -> _Cause | None:
+    score = _objective(evidence, evidence.patterns)
     prior = evidence.prior
-    causes: list[Cause] = []
+    causes: list[_Cause] = []
     if (
-        np.max(errors) > _SMALL
-        or driven_joints(evidence, patterns)
+        np.max(evidence.relative_errors) > _SMALL
+        or _driven_joints(evidence, evidence.patterns)
         or (prior is not None and _mismatched(evidence, prior).size)
     ):
-        causes += _by_hypothesis(evidence, score, errors, names)
+        causes += _causes_in_columns(evidence, score)
+    causes = [cause for cause in causes if cause.gain > _LEAST_GAIN]
     interval = float(np.median(np.diff(evidence.recording.time)))
     least = max(interval, LEAST_LAG)
     lag = torque_lag_of(evidence, least)
     if lag is not None and lag.beyond(least):
         causes.append(_late(evidence, lag, interval))
-    causes = [cause for cause in causes if cause.gain > _LEAST_GAIN or "lag" in cause.finding.kind]
     best = max(causes, key=lambda cause: cause.gain, default=None)
-    unit = None if prior is None else _torque_unit(evidence, prior, score, names)
-    if unit is not None and (best is None or unit.gain > best.gain - 0.05):
+    unit = None if prior is None else _torque_unit(evidence, prior, score)
+    if unit is not None and (best is None or unit.gain > best.gain - _ALIKE):
         return unit
     return best
 
 
-def _by_hypothesis(
-    evidence: Evidence,
-    score: float,
-    errors: Float[np.ndarray, " joints"],
-    names: Sequence[str],
-) -> list[Cause]:
-    network, patterns = evidence.network, evidence.patterns
-    hypotheses = [
-        *sign_and_order(network.joint_count, names),
-        *angle_units(network.joint_kinds, names, np.ptp(evidence.recording.position, axis=0)),
-    ]
+@dataclasses.dataclass(frozen=True, eq=False)
+class Change:
+    """Columns of positions and torques in another order, and multiplied by factors.
+
+    - `motion_order`, `torque_order`: (n,) which column becomes each joint's; None for the same.
+    - `motion_factors`, `torque_factors`: (n,) of the columns in their new order.
+    """
+
+    motion_order: Int[np.ndarray, " joints"] | None = None
+    torque_order: Int[np.ndarray, " joints"] | None = None
+    motion_factors: Float[np.ndarray, " joints"] | float = 1.0
+    torque_factors: Float[np.ndarray, " joints"] | float = 1.0
+
+    def patterns(self, patterns: Patterns) -> Patterns:
+        """Return the patterns of the changed recording."""
+        q, qd, qdd = (self._motion(x) for x in (patterns.q, patterns.qd, patterns.qdd))
+        valid = np.asarray(patterns.backlash_mask)
+        return Patterns(
+            patterns.time,
+            q,
+            qd,
+            qdd,
+            self._torque(patterns.torque),
+            # Where both columns of a joint are measured.
+            _ordered(valid, self.motion_order) & _ordered(valid, self.torque_order),
+            _ordered(patterns.friction_mask, self.motion_order),
+        )
+
+    def recording(self, recording: Recording) -> Recording:
+        """Return the changed recording, without velocities and accelerations."""
+        position, torque = self._motion(recording.position), self._torque(recording.torque)
+        return Recording(recording.time, position, torque)
+
+    def _motion(self, values: Any) -> np.ndarray:
+        return _ordered(values, self.motion_order) * self.motion_factors
+
+    def _torque(self, values: Any) -> np.ndarray:
+        return _ordered(values, self.torque_order) * self.torque_factors
+
+
+def _ordered(values: Any, order: Int[np.ndarray, " joints"] | None) -> np.ndarray:
+    values = np.asarray(values)
+    return values if order is None else values[:, order]
+
+
+class _Hypothesis(NamedTuple):
+    """Fault that a recording may have: the finding, its joints from 0, and how it is undone.
+
+    The finding is without evidence; `change` makes a right recording of the wrong one.
+    """
+
+    finding: Finding
+    joints: tuple[int, ...]
+    change: Change
+
+
+def _hypotheses(
+    kinds: str, names: Sequence[str], extent: Float[np.ndarray, " joints"]
+) -> Iterator[_Hypothesis]:
+    """Yield wrong signs of single joints, pairs of joints that are swapped, and degrees.
+
+    - `kinds`: of the joints, `R` or `P` each.
+    - `extent`: of each joint's positions as recorded.
+    """
+    count = len(names)
+    for joint, name in enumerate(names):
+        signs = np.ones(count)
+        signs[joint] = -1.0
+        for what, change in (
+            ("position", Change(motion_factors=signs)),
+            ("torque", Change(torque_factors=signs)),
+            ("position and torque", Change(motion_factors=signs, torque_factors=signs)),
+        ):
+            entries = (f"[{quantity}] sign = {_toml(signs)}" for quantity in what.split(" and "))
+            found = finding("sign", "", name, what=what, joint=name, entries=" and ".join(entries))
+            yield _Hypothesis(found, (joint,), change)
+    for first, second in combinations(range(count), 2):
+        order = np.arange(count)
+        order[[first, second]] = second, first
+        pair = f"{names[first]} and {names[second]}"
+        both = f"{names[first]}, {names[second]}"
+        swapped = finding(
+            "swapped joints",
+            "",
+            both,
+            what="positions and torques",
+            pair=pair,
+            order=_toml(np.array(names)[order]),
+        )
+        yield _Hypothesis(swapped, (first, second), Change(order, order))
+        for what, change in (("position", Change(order)), ("torque", Change(None, order))):
+            swapped = finding("swapped joints: of one quantity", "", both, what=what, pair=pair)
+            yield _Hypothesis(swapped, (first, second), change)
+    # Angles in degrees, of all revolute joints or of one; none that would be hardly any motion.
+    revolute = np.array([kind == "R" for kind in kinds])
+    wide = np.flatnonzero(revolute & (extent > _LEAST_DEGREES)).tolist()
+    groups = [np.flatnonzero(revolute).tolist()] if wide else []
+    groups += [[joint] for joint in wide if revolute.sum() > 1]
+    for joints in groups:
+        factors = np.ones(count)
+        factors[joints] = np.pi / 180.0
+        change = Change(motion_factors=factors)
+        if len(joints) == revolute.sum():
+            yield _Hypothesis(finding("angle unit", ""), (), change)
+        else:
+            name = names[joints[0]]
+            found = finding("angle unit: of one joint", "", name, joint=name)
+            yield _Hypothesis(found, tuple(joints), change)
+
+
+# Motion in degrees covers more than this.
+_LEAST_DEGREES = 5.0
+
+
+def _toml(values: np.ndarray) -> str:
+    """Return an array of TOML."""
+    items = values.tolist()
+    return f"[{', '.join(f'{x:g}' if isinstance(x, float) else f'{x!r}' for x in items)}]"
+
+
+def _causes_in_columns(evidence: Evidence, score: float) -> list[_Cause]:
+    """Return the likeliest hypotheses, with what they would mend."""
+    network, patterns, errors = evidence.network, evidence.patterns, evidence.relative_errors
+    names = network.output_names
+    extent = np.ptp(evidence.recording.position, axis=0)
+    hypotheses = list(_hypotheses(network.joint_kinds, names, extent))
     quick = evidence.quick_scores([h.change.patterns(patterns) for h in hypotheses])
     # The held-out error of the few that come into question.
-    order = np.argsort(quick, kind="stable")[:4]
-    against_friction = set(driven_joints(evidence, patterns))
-    likely = {int(i) for i in order} | {
-        i
-        for i, hypothesis in enumerate(hypotheses)
-        if hypothesis.kind == "sign" and against_friction & {*hypothesis.joints}
-    }
-    causes: list[Cause] = []
-    for i in sorted(likely):
-        hypothesis = hypotheses[i]
-        mended = objective(evidence, hypothesis.change.patterns(patterns))
-        causes.append(_cause(evidence, hypothesis, errors, score - mended, against_friction, names))
+    likely = set(np.argsort(quick, kind="stable")[:4].tolist())
+    driven = set(_driven_joints(evidence, patterns))
+    causes: list[_Cause] = []
+    for i, hypothesis in enumerate(hypotheses):
+        against_friction = hypothesis.finding.kind == "sign" and driven & {*hypothesis.joints}
+        if i not in likely and not against_friction:
+            continue
+        changed = hypothesis.change.patterns(patterns)
+        gain = score - _objective(evidence, changed)
+        mended = evidence.errors(changed)
+        worst = int(np.argmax(errors / np.maximum(mended, 1e-9)))
+        text = (
+            f"torque errors are {100 * errors[worst]:.3g} % of the torque of {names[worst]}, and"
+            f" {100 * mended[worst]:.3g} % if {hypothesis.finding.cause}"
+        )
+        if against_friction and errors[worst] < 0.1:
+            name = names[hypothesis.joints[0]]
+            text = f"friction of {name} drives its motion instead of braking it"
+        found = dataclasses.replace(hypothesis.finding, evidence=text)
+        causes.append(_Cause(found, hypothesis.change.recording(evidence.recording), gain))
     return causes
 
 
-def _cause(
-    evidence: Evidence,
-    hypothesis: Hypothesis,
-    errors: Float[np.ndarray, " joints"],
-    gain: float,
-    against_friction: set[int],
-    names: Sequence[str],
-) -> Cause:
-    mended = evidence.errors(hypothesis.change.patterns(evidence.patterns))
-    worst = int(np.argmax(errors / np.maximum(mended, 1e-9)))
-    text = (
-        f"torque errors are {100 * errors[worst]:.3g} % of the torque of {names[worst]}, and"
-        f" {100 * mended[worst]:.3g} % if {hypothesis.cause}"
-    )
-    if (
-        hypothesis.kind == "sign"
-        and against_friction & {*hypothesis.joints}
-        and errors[worst] < 0.1
-    ):
-        text = f"friction of {names[hypothesis.joints[0]]} drives its motion instead of braking it"
-    joints = ", ".join(names[joint] for joint in hypothesis.joints)
-    finding = Finding(hypothesis.kind, joints, text, hypothesis.cause, hypothesis.remedy)
-    return Cause(finding, hypothesis.change.recording(evidence.recording), gain)
+# Friction drives a joint if it feeds this part of its torque's power into the motion, and more than
+# so many standard errors: joints that move alike share friction in any proportion.
+_DRIVING_POWER, _SIGNIFICANT = 0.02, 3.0
+# What a joint that its own friction drives adds to the mean logarithm of errors.
+_DRIVEN = 0.3
 
 
-def _late(evidence: Evidence, lag: TorqueLag, interval: float) -> Cause:
+def _objective(evidence: Evidence, patterns: Patterns) -> float:
+    """Return the score of patterns, plus what joints add whose friction drives them."""
+    columns = evidence.columns(patterns)
+    count = len(_driven_joints(evidence, patterns, columns))
+    return evidence.score(patterns, columns) + _DRIVEN * count
+
+
+def _driven_joints(
+    evidence: Evidence, patterns: Patterns, columns: HostColumns | None = None
+) -> list[int]:
+    """Return joints, from 0, whose friction feeds power into the motion, which no friction does."""
+    network = evidence.network
+    columns = evidence.columns(patterns) if columns is None else columns
+    kinds = network.friction_per_joint
+    qd, torque = np.asarray(patterns.qd), np.asarray(patterns.torque)
+    mask = np.asarray(patterns.mask)
+    # Power is linear in the coefficients, and so has a standard error.
+    power_rows = np.zeros((network.joint_count, network.size))
+    speed = np.where(mask, qd, 0.0)
+    for joint, (support, rows) in enumerate(zip(network.support, columns, strict=True)):
+        power_rows[joint, list(support)] = rows @ speed[:, joint]
+    power_rows[:, network.layout.inertial] = 0.0
+    size = np.sqrt(np.sum(speed**2, axis=0) * np.sum(np.where(mask, torque**2, 0.0), axis=0))
+    power = power_rows @ evidence.coefficients(patterns, columns)
+    suspects = [j for j in np.flatnonzero(power < -_DRIVING_POWER * size).tolist() if kinds[j]]
+    if not suspects:
+        return []
+    fit = LeastSquares().fit(network, patterns, throw=False)
+    covariance = np.asarray(fit.covariance)
+    variance = np.einsum("jp,pq,jq->j", power_rows, covariance, power_rows)
+    return [j for j in suspects if power[j] < -_SIGNIFICANT * np.sqrt(variance[j])]
+
+
+def _late(evidence: Evidence, lag: TorqueLag, interval: float) -> _Cause:
     word = "late" if lag.lag > 0 else "early"
     low, high = sorted((abs(lag.low), abs(lag.high)))
     recording = evidence.recording
     torque = Preparation(torque_lag=lag.lag).aligned(recording.time, recording.torque)
-    finding = Finding(
+    found = finding(
         "torque lag",
-        "",
         f"torques fit the motion best {1e3 * abs(lag.lag):.3g} ms {word} (95 % interval"
         f" {1e3 * low:.3g} to {1e3 * high:.3g} ms; {abs(lag.lag) / interval:.2g} samples)",
-        "a filter or a delay between the two measurements",
-        f"--torque-lag {lag.lag:.4g}",
+        lag=lag.lag,
     )
-    return Cause(finding, Recording(recording.time, recording.position, torque), lag.gain)
+    return _Cause(found, Recording(recording.time, recording.position, torque), lag.gain)
 
 
-def _torque_unit(
-    evidence: Evidence, prior: PriorFit, score: float, names: Sequence[str]
-) -> Cause | None:
-    """Torques that follow those of the file's masses, but many times too large or too small."""
+def _torque_unit(evidence: Evidence, prior: PriorFit, score: float) -> _Cause | None:
+    """Return torques that follow those of the file's masses, many times too large or small."""
     well = prior.explained > WELL
     common = abs(prior.common_factor)
     if well.sum() < min(2, len(well)) or 1 / _OTHER_UNIT < common < _OTHER_UNIT:
         return None
     change = Change(torque_factors=1.0 / prior.factors)
-    gain = score - objective(evidence, change.patterns(evidence.patterns))
-    factors = np.abs(prior.factor[well])
-    spread = float(np.max(factors) / np.min(factors))
-    listed = ", ".join(
-        f"{name} {factor:.3g}"
-        for name, factor in zip(np.array(names)[well], prior.factor[well], strict=True)
-    )
-    if spread < 2.0 and 300.0 < common < 3000.0:
-        cause, remedy = "torques are in mN m", '[torque] unit = "mN m" in the mapping of --columns'
-    else:
-        cause = "the columns of torques are motor currents, or torques before the gears"
-        remedy = '[torque] unit = "A", constant = [...], gear = [...] in the mapping of --columns'
-    finding = Finding(
-        "torque unit",
-        "" if well.all() else ", ".join(np.array(names)[well]),
+    gain = score - _objective(evidence, change.patterns(evidence.patterns))
+    names, factors = np.array(evidence.network.output_names)[well], prior.factor[well]
+    listed = ", ".join(f"{name} {x:.3g}" for name, x in zip(names, factors, strict=True))
+    alike = float(np.max(np.abs(factors)) / np.min(np.abs(factors))) < 2.0
+    found = finding(
+        "torque unit: scale" if alike and 300.0 < common < 3000.0 else "torque unit: currents",
         f"torques follow those of the masses in the robot's file, but times {listed}",
-        cause,
-        remedy,
+        "" if well.all() else ", ".join(names),
     )
-    return Cause(finding, change.recording(evidence.recording), gain)
+    return _Cause(found, change.recording(evidence.recording), gain)
 
 
 def _mismatched(evidence: Evidence, prior: PriorFit) -> np.ndarray:
-    """Joints, from 0, whose torque should be that of the file's masses, and is not."""
-    patterns = evidence.patterns
-    size = np.maximum(np.sqrt(np.mean(np.asarray(patterns.torque) ** 2, axis=0)), 1e-300)
+    """Return joints, from 0, whose torque should be that of the file's masses, and is not."""
+    torque = np.asarray(evidence.patterns.torque)
+    size = np.maximum(np.sqrt(np.mean(torque**2, axis=0)), 1e-300)
     recorded = np.std(evidence.gravity, axis=0) / size
     common = abs(prior.common_factor)
     expected = prior.size * (common if np.isfinite(common) else 1.0)
     return np.flatnonzero(
         (np.minimum(np.maximum(recorded, expected), 1.5) > _MOST)
         & (prior.explained < _FEW)
-        & (np.ptp(np.asarray(patterns.torque), axis=0) > 0.0)
+        & (np.ptp(torque, axis=0) > 0.0)
     )
 
 
 def _wrong_robot(evidence: Evidence) -> Finding | None:
     names = np.array(evidence.network.output_names)
-    errors = _beyond_noise(evidence)
+    recording, prior = evidence.recording, evidence.prior
+    # Errors as part of the torque, less what white noise of the torque explains.
+    interval = float(np.median(np.diff(recording.time)))
+    passed = np.sqrt(min(2.0 * evidence.cutoff * interval, 1.0))
+    size = np.sqrt(np.mean(np.asarray(evidence.patterns.torque) ** 2, axis=0))
+    noise = noise_level(recording.torque) * passed / np.maximum(size, 1e-300)
+    errors = np.sqrt(np.maximum(evidence.relative_errors**2 - noise**2, 0.0))
     texts: list[str] = []
-    joints: set[int] = set()
-    bad = np.flatnonzero(errors > _UNEXPLAINED)
+    bad, off = np.flatnonzero(errors > _UNEXPLAINED), np.zeros(0, int)
     if bad.size:
-        joints |= set(bad.tolist())
         listed = ", ".join(f"{names[j]} {100 * errors[j]:.0f} %" for j in bad)
         texts.append(f"no coefficients explain the torque; beyond noise they leave {listed} of it")
-    prior = evidence.prior
     if prior is not None and (off := _mismatched(evidence, prior)).size:
-        joints |= set(off.tolist())
         listed = ", ".join(f"{names[j]} {100 * max(prior.explained[j], 0):.0f} %" for j in off)
         texts.append(f"the masses of the robot's file explain little of the torque: {listed}")
     if not texts:
         return None
-    beyond = _beyond_limits(evidence)
-    return Finding(
-        "wrong robot",
-        ", ".join(names[sorted(joints)]),
-        "; ".join([*texts, *(finding.evidence for finding in beyond)]),
-        "the recording is of another robot, tool or mounting than the file's, or the model lacks"
-        " a term",
-        "compare the robot's file, its base, tip and gravity with the arm",
-    )
-
-
-def _beyond_noise(evidence: Evidence) -> Float[np.ndarray, " joints"]:
-    """Error of each joint as part of its torque, less what white noise of the torque explains."""
-    recording, patterns = evidence.recording, evidence.patterns
-    errors = evidence.relative_errors
-    interval = float(np.median(np.diff(recording.time)))
-    passed = np.sqrt(min(2.0 * evidence.cutoff * interval, 1.0))
-    size = np.sqrt(np.mean(np.asarray(patterns.torque) ** 2, axis=0))
-    noise = noise_level(recording.torque) * passed / np.maximum(size, 1e-300)
-    return np.sqrt(np.maximum(errors**2 - noise**2, 0.0))
+    texts += (found.evidence for found in _beyond_limits(evidence))
+    return finding("wrong robot", "; ".join(texts), ", ".join(names[np.union1d(bad, off)]))
 
 
 def _beyond_limits(evidence: Evidence) -> list[Finding]:
     network, recording = evidence.network, evidence.recording
-    texts: list[str] = []
-    joints: list[str] = []
-    for j, (name, limits) in enumerate(
-        zip(network.output_names, network.joint_limits, strict=True)
-    ):
-        low, high = np.quantile(recording.position[:, j], [0.001, 0.999])
+    texts: dict[str, str] = {}
+    lows, highs = np.quantile(recording.position, [0.001, 0.999], axis=0)
+    of_joints = zip(network.output_names, network.joint_limits, lows, highs, strict=True)
+    for name, limits, low, high in of_joints:
         span = limits.high - limits.low
         margin = 0.02 * span if np.isfinite(span) else 0.05
         if low < limits.low - margin or high > limits.high + margin:
-            texts.append(
+            texts[name] = (
                 f"{name} goes from {low:.3g} to {high:.3g}, and its limits are {limits.low:.3g}"
                 f" and {limits.high:.3g}"
             )
-            joints.append(name)
-    if not texts:
-        return []
-    return [
-        Finding(
-            "limits",
-            ", ".join(joints),
-            "; ".join(texts),
-            "another robot, another zero position, or another unit",
-            "compare the robot's file with the arm, and units and zero positions with the recorder",
-        )
-    ]
+    return [finding("limits", "; ".join(texts.values()), ", ".join(texts))] if texts else []
 
 
 def _excitation(evidence: Evidence) -> tuple[list[Finding], str]:
     """Check whether the motion is enough for the coefficients, and describe it in a sentence."""
-    network, patterns = evidence.network, evidence.patterns
-    held_out = evidence.score(patterns)
-    fit = evidence.fit
+    network, patterns, fit = evidence.network, evidence.patterns, evidence.fit
     mask, torque = np.asarray(patterns.mask), np.asarray(patterns.torque)
     counts = np.maximum(mask.sum(axis=0), 1)
     size = np.maximum(np.sqrt(np.where(mask, torque**2, 0.0).sum(axis=0) / counts), 1e-300)
     training = np.clip(np.asarray(fit.torque_error) / size, 1e-6, 10.0)
-    gap = held_out - float(np.mean(np.log(training)))
+    gap = evidence.score(patterns) - float(np.mean(np.log(training)))
     rank, duration = int(fit.rank), float(evidence.time[-1] - evidence.time[0])
     text = (
         f"excitation: {duration:.3g} s determine {rank} of {network.size} coefficients, condition"
@@ -296,18 +389,8 @@ def _excitation(evidence: Evidence) -> tuple[list[Finding], str]:
     whole = rank == _determinable(network)
     if (whole or motionless(evidence.recording).any()) and gap < _TAME:
         return [], text
-    evidence_text = (
-        f"{text}; errors on data left out of the fit are {np.exp(gap):.3g} times those of the fit"
-    )
-    finding = Finding(
-        "tame motion",
-        "",
-        evidence_text,
-        "the motion is too short or too uniform for so many coefficients",
-        "record a longer motion of all joints at several speeds; --folds 3 lets short recordings"
-        " choose settings",
-    )
-    return [finding], text
+    held_out = f"errors on data left out of the fit are {np.exp(gap):.3g} times those of the fit"
+    return [finding("tame motion", f"{text}; {held_out}")], text
 
 
 def _determinable(network: CSLC) -> int:
@@ -322,3 +405,99 @@ def _determinable(network: CSLC) -> int:
     motion = np.random.default_rng(0).uniform(-2.0, 2.0, (3, 8 * network.size, joints))
     regressor = np.asarray(network.regressor(*motion))
     return numerical_rank(regressor.reshape(-1, network.size))
+
+
+# Root mean square of a joint's error under another recording's coefficients over that under its own
+# from which recordings disagree; less than this part of its torque is no matter.
+_WORSE, _NEGLIGIBLE = 1.5, 0.03
+# A cause explains a disagreement that it takes most of away.
+_EXPLAINED = 0.6
+
+
+def rate_findings(rates: Sequence[float], names: Sequence[str]) -> Iterator[Finding]:
+    """Find recordings that were sampled at another rate [Hz] than the first."""
+    for rate, name in zip(rates[1:], names[1:], strict=True):
+        if not 1 / OTHER_RATE < rate / rates[0] < OTHER_RATE:
+            yield finding(
+                "rate: others",
+                f"{rate:.4g} samples a second, {rates[0]:.4g} in {names[0]}: settings chosen for"
+                " one smooth the other differently",
+                recording=name,
+                faster=name if rate > rates[0] else names[0],
+                every=round(max(rate, rates[0]) / min(rate, rates[0])),
+            )
+
+
+def agreement_findings(
+    network: CSLC, evidence: Sequence[Evidence], names: Sequence[str]
+) -> Iterator[Finding]:
+    """Find recordings whose torque the coefficients of the first do not predict, and the cause."""
+    first = LeastSquares().fit(network, evidence[0].patterns, throw=False)
+    k = np.asarray(first.k)
+    for other, name in zip(evidence[1:], names[1:], strict=True):
+        alone = other.errors(other.patterns)
+        carried = _errors(network, k, other.patterns)
+        worse = carried > np.maximum(_WORSE * alone, alone + _NEGLIGIBLE)
+        if not worse.any():
+            continue
+        joints = [network.output_names[j] for j in np.flatnonzero(worse)]
+        errors = zip(joints, carried[worse], alone[worse], strict=True)
+        listed = (
+            f"{j} {100 * other:.2g} % in place of {100 * own:.2g} %" for j, other, own in errors
+        )
+        kind, explanation, groups = _disagreement(network, k, other.patterns, carried, alone)
+        yield finding(
+            kind,
+            f"the coefficients of {names[0]} leave more of its torque unexplained than its own:"
+            f" {'; '.join(listed)}; {explanation}",
+            ", ".join(joints),
+            recording=name,
+            first=names[0],
+            groups=",".join(groups),
+        )
+
+
+def _disagreement(
+    network: CSLC,
+    k: Float[np.ndarray, " coefficients"],
+    patterns: Patterns,
+    carried: Float[np.ndarray, " joints"],
+    alone: Float[np.ndarray, " joints"],
+) -> tuple[str, str, list[str]]:
+    """Return the kind of a disagreement, what explains it, and the groups of friction."""
+    excess = np.maximum(carried**2 - alone**2, 0.0)
+
+    def explained(network: CSLC, k: Any) -> float:
+        errors = _errors(network, np.asarray(k), patterns)
+        remaining = np.maximum(errors**2 - alone**2, 0.0)
+        return 1.0 - float(np.sum(remaining) / np.sum(excess))
+
+    solver = LeastSquares(errors="independent")
+    groups = [group for group in ("viscous", "dry", "offset") if group in network.layout.groups]
+    friction = 0.0
+    if groups:
+        fit = reidentify(network, patterns, k, groups=groups, solver=solver)
+        friction = explained(network, fit.k)
+    loaded = network.with_payload()
+    fit = reidentify(loaded, patterns, k, groups=("payload",), solver=solver)
+    payload = explained(loaded, fit.k)
+    if max(friction, payload) <= _EXPLAINED:
+        return "disagreement", "neither a payload nor friction explains the difference", groups
+    if friction >= payload:
+        share = f"other friction explains {100 * friction:.0f} % of the difference"
+        return "friction", share, groups
+    (index,) = loaded.layout.indices("pm")
+    mass = f" ({float(fit.k[index]):+.2g} kg)" if bool(fit.determined[index]) else ""
+    share = f"a body at the last link explains {100 * payload:.0f} % of the difference{mass}"
+    return "payload", share, groups
+
+
+def _errors(
+    network: CSLC, k: Float[np.ndarray, " coefficients"], patterns: Patterns
+) -> Float[np.ndarray, " joints"]:
+    """Return the error of each joint as part of its torque's root mean square."""
+    mask, torque = np.asarray(patterns.mask), np.asarray(patterns.torque)
+    error = torque - np.asarray(regressor_of(network, patterns)) @ k
+    squares = np.where(mask, error**2, 0.0).sum(axis=0)
+    size = np.where(mask, torque**2, 0.0).sum(axis=0)
+    return np.sqrt(squares / np.where(size > 0, size, 1.0))

@@ -33,10 +33,9 @@ _PIECE = 4096
 # Standard deviation of what looks like a lag at all joints alike (friction at low speed that no
 # term describes), in sample intervals: the order of errors on simulated arms with little noise.
 _COMMON = 0.025
-# How much wider than the equations' filter the smoothing of the positions is.
-_WIDER = 3.0
-# And how much narrower that of the torque's slope.
-_SMOOTHER = 3.0
+# How much wider than the equations' filter the smoothing of the positions is, and how much
+# narrower that of the torque's slope.
+_APART = 3.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,7 +64,7 @@ class TorqueLag:
 
 
 def estimate_torque_lag(network: CSLC, recording: Recording) -> TorqueLag:
-    """Estimates how late the torques of a recording are, from torque and motion alone.
+    """Estimate how late the torques of a recording are, from torque and motion alone.
 
     Positions and torques pass the same low pass, which delays neither. A search takes the shift of
     the torque under which the network predicts held-out torque best. There the lag is one more
@@ -86,20 +85,14 @@ def estimate_torque_lag(network: CSLC, recording: Recording) -> TorqueLag:
 
     **Returns** a `TorqueLag`.
 
-    **Raises**
+    **Raises** `ValueError` for a recording that is too short, or of another number of joints.
 
-    - `ValueError`: a recording that is too short, or of another number of joints.
-
-    >>> import numpy as np, jaxcslc as jc
+    >>> import dataclasses, jaxcslc as jc
     >>> from jaxcslc.checks import estimate_torque_lag
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.arange(4000)[:, None] * 0.002
-    >>> motion = lambda t: (np.sin(3 * t), 3 * np.cos(3 * t), -9 * np.sin(3 * t))
-    >>> k = np.array([0.5, 0.3, -0.1, 0.2, 0.05])
-    >>> late = np.asarray(network.torque(k, *motion(t - 0.02)))
-    >>> lag = estimate_torque_lag(network, jc.Recording(t[:, 0], motion(t)[0], late))
-    >>> round(lag.lag, 4)
+    >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric")
+    >>> swing = jc.examples.swing_recording(network, [0.5, 0.3, -0.1, 0.2, 0.05], samples=2000)
+    >>> late = dataclasses.replace(swing.rows(slice(2, None)), torque=swing.torque[:-2])
+    >>> round(estimate_torque_lag(network, late).lag, 4)
     0.02
     """
     evidence = Evidence.of(network, recording)
@@ -107,14 +100,13 @@ def estimate_torque_lag(network: CSLC, recording: Recording) -> TorqueLag:
 
 
 def torque_lag_of(evidence: Evidence, least: float = 0.0) -> TorqueLag | None:
-    """The lag that the evidence of a recording shows; None if a first look shows less than
-    `least` [s]."""
+    """Return the lag of evidence; None if a first look shows less than `least` [s]."""
     coarse, gain = _search(evidence)
     return _refined(evidence, coarse, gain) if abs(coarse) >= least else None
 
 
 def small_torque_lag(network: CSLC, recording: Recording) -> TorqueLag:
-    """The lag of torques that are late or early by some samples at most, without a search.
+    """Return the lag of torques that are late or early by some samples, without a search.
 
     **Raises** `ValueError` for a recording that is too short.
     """
@@ -122,7 +114,7 @@ def small_torque_lag(network: CSLC, recording: Recording) -> TorqueLag:
 
 
 def _search(evidence: Evidence) -> tuple[float, float]:
-    """The best lag of a grid [s], and how much better than no lag it is."""
+    """Return the best lag of a grid [s], and how much better than no lag it is."""
     from scipy.interpolate import CubicSpline  # 0.09 s of processor time
 
     patterns = evidence.patterns
@@ -134,37 +126,25 @@ def _search(evidence: Evidence) -> tuple[float, float]:
     valid = np.asarray(patterns.backlash_mask) & inside[:, None]
 
     def score(lag: float) -> float:
-        shifted = Patterns(
-            patterns.time,
-            patterns.q,
-            patterns.qd,
-            patterns.qdd,
-            spline(time + lag),
-            valid,
-            patterns.friction_mask,
-        )
+        torque = spline(time + lag)
+        shifted = dataclasses.replace(patterns, torque=torque, backlash_mask=valid)
         return evidence.score(shifted, columns)
 
     scores = {0: score(0.0)}
 
-    def look_at(steps: int) -> None:
-        if steps not in scores:
-            scores[steps] = score(_STEP * steps)
+    def best_of(*steps: int) -> int:
+        scores.update({at: score(_STEP * at) for at in steps if at not in scores})
+        return min(scores, key=scores.__getitem__)
 
+    best = 0
     for reach in (min(_NEAR, farthest), farthest):
         most = int(reach / _STEP) // 2 * 2
-        for steps in range(-most, most + 1, 2):
-            look_at(steps)
-        best = min(scores, key=scores.__getitem__)
+        best = best_of(*range(-most, most + 1, 2))
         if abs(best) < most and scores[best] < _GOOD:
             break
-    best = min(scores, key=scores.__getitem__)
-    look_at(best - 1)
-    look_at(best + 1)
-    best = min(scores, key=scores.__getitem__)
+    best = best_of(best - 1, best + 1)
     gain = scores[0] - scores[best]
-    look_at(best - 1)
-    look_at(best + 1)
+    best_of(best - 1, best + 1)
     before, after = scores[best - 1], scores[best + 1]
     bend = before - 2.0 * scores[best] + after
     between = 0.5 * (before - after) / bend if bend > 0 else 0.0
@@ -172,11 +152,11 @@ def _search(evidence: Evidence) -> tuple[float, float]:
 
 
 def _refined(evidence: Evidence, lag: float, gain: float) -> TorqueLag:
-    """The lag as one more coefficient of equations whose two sides pass the same filter."""
+    """Fit the lag as one more coefficient of equations whose two sides pass the same filter."""
     network, recording = evidence.network, evidence.recording
     interval = float(np.median(np.diff(recording.time)))
     preparation = Preparation(
-        Butterworth(min(_WIDER * evidence.cutoff, 0.2 / interval)), threshold_fraction=0.1
+        Butterworth(min(_APART * evidence.cutoff, 0.2 / interval)), threshold_fraction=0.1
     )
     patterns = preparation.patterns(recording)
     trim = preparation.trimmed(recording)
@@ -203,7 +183,7 @@ def _refined(evidence: Evidence, lag: float, gain: float) -> TorqueLag:
         slope = zero_phase(
             np.gradient(torque_by(network.support, motion, k), interval, axis=0),
             interval,
-            cutoff=evidence.cutoff / _SMOOTHER,
+            cutoff=evidence.cutoff / _APART,
         )
         late = [-_STEP * column[:, None] for column in slope.T]
         late = equations.inputs(late, patterns, evidence.cutoff)
@@ -259,7 +239,7 @@ class _Combined:
 
 
 def _columns(network: CSLC, patterns: Patterns) -> HostColumns:
-    """The regressor's columns, of pieces that share one compiled function."""
+    """Return the regressor's columns, of pieces that share one compiled function."""
     starts = range(0, patterns.samples, _PIECE)
     parts = (jax.tree.map(itemgetter(slice(start, start + _PIECE)), patterns) for start in starts)
     pieces = [columns_of(network, part) for part in parts]

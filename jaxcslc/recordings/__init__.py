@@ -13,11 +13,10 @@ Modules, in reading order:
 - `_recording`: the recording, and faults that none may have.
 - `_sampling`: interval, encoder resolution and noise of a recording.
 - `_clock`: times of samples, resampling, and the torque that belongs to a sample.
-- `_smoothing`, `_splines`, `_filters`: smoothing and differentiation.
+- `_smoothing`, `_splines`: smoothing and differentiation; where joints turn round.
 - `_low_pass`: zero-phase filters, and the filtering of whole equations.
-- `_reversals`: where joints turn round, for the splines.
-- `_masks`, `_residual_thresholds`: pairs that a fit leaves out.
-- `_preparation`, `_patterns`: settings, and their result.
+- `_masks`: pairs that a fit leaves out.
+- `_preparation`: settings, and the patterns that they give.
 """
 
 from ._clock import (
@@ -25,12 +24,6 @@ from ._clock import (
     align_torque as align_torque,
     resample as resample,
     restore_clock as restore_clock,
-    uniform_interval as uniform_interval,
-)
-from ._filters import (
-    Butterworth as Butterworth,
-    CentralDifferences as CentralDifferences,
-    SavitzkyGolay as SavitzkyGolay,
 )
 from ._low_pass import (
     FilteredEquations as FilteredEquations,
@@ -48,40 +41,36 @@ from ._masks import (
     possible_backlash as possible_backlash,
     static_fractions as static_fractions,
 )
-from ._patterns import Patterns as Patterns, joined_patterns as joined_patterns
 from ._preparation import (
     DEFAULT_THRESHOLD_FRACTION as DEFAULT_THRESHOLD_FRACTION,
+    Patterns as Patterns,
     Preparation as Preparation,
     VelocitySource as VelocitySource,
-    as_recorded as as_recorded,
+    joined_patterns as joined_patterns,
     prepare as prepare,
 )
 from ._recording import (
     MINIMUM_SAMPLES as MINIMUM_SAMPLES,
-    Fault as Fault,
     Recording as Recording,
     RecordingError as RecordingError,
-    as_columns as as_columns,
-    column_names as column_names,
-    first_fault as first_fault,
+    check_samples as check_samples,
     fresh_rows as fresh_rows,
     stale_rows as stale_rows,
     without_stale_rows as without_stale_rows,
 )
-from ._residual_thresholds import (
-    FrictionThresholds as FrictionThresholds,
-    thresholds_from_residuals as thresholds_from_residuals,
-)
-from ._reversals import Reversal as Reversal, find_reversals as find_reversals
 from ._sampling import (
     Sampling as Sampling,
     encoder_resolution as encoder_resolution,
     noise_level as noise_level,
     sixth_differences as sixth_differences,
+    uniform_interval as uniform_interval,
 )
 from ._smoothing import (
     AbstractSmoothing as AbstractSmoothing,
+    Butterworth as Butterworth,
+    CentralDifferences as CentralDifferences,
     Derivatives as Derivatives,
+    SavitzkyGolay as SavitzkyGolay,
     register_smoothing as register_smoothing,
     smoothing_document as smoothing_document,
     smoothing_from as smoothing_from,
@@ -89,7 +78,9 @@ from ._smoothing import (
 )
 from ._splines import (
     AveragedSplines as AveragedSplines,
+    Reversal as Reversal,
     choose_spacing as choose_spacing,
+    find_reversals as find_reversals,
     left_out_error as left_out_error,
 )
 from .files import (
@@ -112,9 +103,7 @@ __all__ = [
     "CentralDifferences",
     "ColumnMapping",
     "Derivatives",
-    "Fault",
     "FilteredEquations",
-    "FrictionThresholds",
     "Patterns",
     "Preparation",
     "Recording",
@@ -126,18 +115,14 @@ __all__ = [
     "TorqueAlignment",
     "VelocitySource",
     "align_torque",
-    "as_columns",
-    "as_recorded",
     "at_rest",
     "away_from_reversals",
     "choose_spacing",
-    "column_names",
     "decimated_low_pass",
     "decimation_for",
     "directions_beside",
     "encoder_resolution",
     "find_reversals",
-    "first_fault",
     "fresh_rows",
     "friction_mask",
     "friction_thresholds",
@@ -160,7 +145,6 @@ __all__ = [
     "smoothing_from",
     "stale_rows",
     "static_fractions",
-    "thresholds_from_residuals",
     "uniform_interval",
     "without_rounding",
     "without_stale_rows",

@@ -1,7 +1,6 @@
 """Masks of joint-and-sample pairs: backlash, slow motion, reversals, and joints at rest.
 
 The thesis leaves out pairs in backlash (Eqn 2.5-7) and slow pairs (Section 7.2.2).
-`_residual_thresholds` finds the speeds from a fit's residuals.
 """
 
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._environment import array_namespace
+from ._recording import Signals
 
 
 Thresholds: TypeAlias = float | int | Sequence[float | int] | Float[np.ndarray, " joints"]
@@ -34,10 +34,8 @@ def possible_backlash(
     $\operatorname{sgn}\tau_i = \operatorname{sgn}\ddot q_i$ (thesis, Eqn 2.5-7): a free motor is
     pushed the way it moves and speeds up.
 
-    The thesis holds that this includes every occurrence of backlash. On simulated PUMA 560s whose
-    gears are known it left out about half of the pairs with gears apart and half of the others,
-    and fits were worse for it (`scripts/studies/disturbances/budget.py`): choosing pairs by the
-    sign of the torque biases a fit.
+    The thesis holds that this includes every occurrence of backlash. Choosing pairs by the sign of
+    the torque biases a fit (`scripts/studies/disturbances/budget.py`).
 
     Backlash is decoupled, so a pair says nothing of the other joints of its sample.
 
@@ -69,9 +67,9 @@ def possible_backlash(
 
 
 def friction_thresholds(
-    qd: Float[np.ndarray, "samples joints"], fraction: float | tuple[float, ...]
+    qd: Signals, fraction: float | tuple[float, ...]
 ) -> Float[np.ndarray, " joints"]:
-    """Velocities below which static friction is taken to matter, joint by joint.
+    """Return velocities below which static friction is taken to matter, joint by joint.
 
     The thesis starts from one hundredth of each joint's greatest velocity in the training
     recording (Section 7.5) and sharpens it once the friction can be seen (Appendix B.6).
@@ -106,16 +104,14 @@ def friction_thresholds(
 
 
 def static_fractions(fraction: float, joints: Sequence[bool]) -> float | tuple[float, ...]:
-    """Threshold fractions of joints, smaller where a term of static friction explains slow pairs.
+    """Return fractions of thresholds, smaller where a term of static friction explains slow pairs.
 
     **Arguments**
 
     - `fraction`: of joints without such a term.
     - `joints`: True for each joint with one.
 
-    **Returns**
-
-    One fraction a joint, or `fraction` itself if no joint has such a term.
+    **Returns** one fraction per joint, or `fraction` itself if no joint has such a term.
 
     >>> from jaxcslc.recordings import static_fractions
     >>> static_fractions(0.1, [True, False])
@@ -128,9 +124,7 @@ def static_fractions(fraction: float, joints: Sequence[bool]) -> float | tuple[f
     return tuple(slower if static else fraction for static in joints)
 
 
-def friction_mask(
-    qd: Float[np.ndarray, "samples joints"], thresholds: Thresholds
-) -> Bool[np.ndarray, "samples joints"]:
+def friction_mask(qd: Signals, thresholds: Thresholds) -> Bool[np.ndarray, "samples joints"]:
     """Mark the joint-and-sample pairs that move too fast for static friction (Section 7.2.2).
 
     **Arguments**
@@ -164,9 +158,7 @@ def friction_mask(
     return np.abs(qd) > limits
 
 
-def away_from_reversals(
-    qd: Float[np.ndarray, "samples joints"], margin: int
-) -> Bool[np.ndarray, "samples joints"]:
+def away_from_reversals(qd: Signals, margin: int) -> Bool[np.ndarray, "samples joints"]:
     """Mark the joint-and-sample pairs further than a margin from every velocity reversal.
 
     Smoothing spreads the jump that friction puts into an acceleration over about its own

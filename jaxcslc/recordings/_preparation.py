@@ -1,14 +1,13 @@
-"""Preparation of a recording: settings of smoothing, torque alignment and masks, and their use.
-
-`Preparation` holds the settings; `prepare` is the short form. `as_recorded` needs no smoothing.
-"""
+"""Patterns: the prepared motion, torque and masks from which coefficients are fitted."""
 
 import dataclasses
 from collections.abc import Collection, Sequence
 from typing import Any, Literal, TypeAlias, get_args
 
+import equinox as eqx
+import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ._clock import TorqueAlignment, align_torque
 from ._masks import (
@@ -19,11 +18,120 @@ from ._masks import (
     possible_backlash,
     static_fractions,
 )
-from ._patterns import Patterns, check_some_left
-from ._recording import Recording
+from ._recording import Recording, Samples, Signals
 from ._sampling import Sampling
 from ._smoothing import AbstractSmoothing, Derivatives, without_rounding
 from ._splines import AveragedSplines
+
+
+class Patterns(eqx.Module):
+    """Motion, torque and masks that a fit uses of a recording.
+
+    A disturbance of one joint leaves the equations of the others whole (thesis, Section 7.2.4),
+    so the masks belong to pairs of a joint and a sample, never to whole samples.
+
+    **Attributes**
+
+    - `time`: instants of the samples, shape `(samples,)` [s].
+    - `q`, `qd`, `qdd`: positions, velocities and accelerations, shape `(samples, motion)`
+        [rad, rad/s, rad/s² or m, m/s, m/s²]; of a robot, a column a joint. Other systems
+        (`jaxcslc.systems`) may have more or fewer columns of motion than equations.
+    - `torque`: the torques that drove that motion, shape `(samples, joints)` [N m or N].
+    - `backlash_mask`: True where the joint is not possibly in backlash (Eqn 2.5-7), shape
+        `(samples, joints)`.
+    - `friction_mask`: True where the joint moves faster than its static friction threshold
+        (Section 7.2.2), shape `(samples, joints)`.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import Patterns
+    >>> motion = np.ones((3, 2))
+    >>> friction_mask = np.array([[True, False], [True, True], [False, True]])
+    >>> patterns = Patterns(
+    ...     np.arange(3.0), motion, motion, motion, motion, np.ones((3, 2), bool), friction_mask
+    ... )
+    >>> int(patterns.mask.sum())
+    4
+    """
+
+    time: Float[np.ndarray | jax.Array, " samples"]
+    q: Float[np.ndarray | jax.Array, "samples motion"]
+    qd: Float[np.ndarray | jax.Array, "samples motion"]
+    qdd: Float[np.ndarray | jax.Array, "samples motion"]
+    torque: Float[np.ndarray | jax.Array, "samples joints"]
+    backlash_mask: Bool[np.ndarray | jax.Array, "samples joints"]
+    friction_mask: Bool[np.ndarray | jax.Array, "samples joints"]
+
+    @property
+    def mask(self) -> Bool[np.ndarray | jax.Array, "samples joints"]:
+        """The pairs that take part in a fit: those of both masks, shape `(samples, joints)`."""
+        return self.backlash_mask & self.friction_mask
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.q.shape[0]
+
+    @property
+    def joints(self) -> int:
+        """Number of joints: columns of torque."""
+        return self.torque.shape[1]
+
+    def between(self, start: float, end: float) -> "Patterns":
+        """Return the patterns with `start <= time < end` [s]; there may be none."""
+        time = np.asarray(self.time)
+        inside = (time >= start) & (time < end)
+        return jax.tree_util.tree_map(lambda values: values[inside], self)
+
+
+def joined_patterns(parts: Sequence[Patterns]) -> Patterns:
+    """Join patterns of several recordings of the same columns, one after the other.
+
+    Time goes on at the end of each, after its mean interval.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import Patterns, joined_patterns
+    >>> motion, pairs = np.ones((3, 1)), np.ones((3, 1), bool)
+    >>> part = Patterns(np.arange(3.0), motion, motion, motion, motion, pairs, pairs)
+    >>> joined_patterns([part, part]).time.tolist()
+    [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    """
+    moved: list[Patterns] = []
+    start: float | None = None
+    for part in parts:
+        time = np.asarray(part.time)
+        time = time if start is None else time - time[0] + start
+        moved.append(dataclasses.replace(part, time=time))
+        start = float(time[-1] + np.mean(np.diff(time)))
+    return jax.tree_util.tree_map(lambda *values: np.concatenate(values), *moved)
+
+
+def check_some_left(patterns: Patterns) -> None:
+    """Check that masks leave some pair of a joint and a sample.
+
+    **Raises**
+
+    - `ValueError`: naming the joints and the mask that leaves nothing of them.
+    """
+    if np.any(patterns.mask):
+        return
+    masks = {
+        "none is above the friction threshold": patterns.friction_mask,
+        "all may be in backlash": patterns.backlash_mask,
+    }
+    reasons = "; ".join(
+        f"{reason} at joint {_numbers(~np.any(mask, axis=0))}"
+        for reason, mask in masks.items()
+        if not np.all(np.any(mask, axis=0))
+    )
+    raise ValueError(
+        f"masking leaves nothing of {patterns.samples} samples of {patterns.joints} joints"
+        + (f" ({reasons})" if reasons else "")
+        + "; expected some pair of joint and sample above its threshold and out of backlash"
+    )
+
+
+def _numbers(which: Bool[np.ndarray, " joints"]) -> str:
+    return ", ".join(str(joint + 1) for joint in np.flatnonzero(which))
 
 
 DEFAULT_THRESHOLD_FRACTION = 0.03
@@ -60,7 +168,7 @@ class Preparation:
       stands for `DEFAULT_THRESHOLD_FRACTION`, and for a tenth of it at joints whose network has a
       term of static friction: see `with_static_friction`.
     - `thresholds`: these speeds themselves, one for all joints or one for each [rad/s or m/s], in
-      place of `threshold_fraction`; or None. See `jaxcslc.recordings.thresholds_from_residuals`.
+      place of `threshold_fraction`; or None.
     - `backlash`: leave out the pairs that may be in backlash (Eqn 2.5-7), up to half of them. For
       transmissions that have it.
     - `reversal_margin`: samples to leave out on either side of each velocity reversal of a joint.
@@ -117,15 +225,7 @@ class Preparation:
             )
 
     def derivatives(self, recording: Recording) -> Derivatives:
-        """Smoothed positions, velocities and accelerations of a recording.
-
-        **Arguments**
-
-        - `recording`: n joints.
-
-        **Returns**
-
-        `q`, `qd`, `qdd` of all samples, each of shape `(samples, n)`.
+        """Return smoothed positions, velocities and accelerations of a recording's samples.
 
         **Raises**
 
@@ -189,18 +289,12 @@ class Preparation:
         check_some_left(patterns)
         return patterns
 
-    def speed_thresholds(
-        self, qd: Float[np.ndarray, "samples joints"]
-    ) -> Float[np.ndarray, " thresholds"]:
-        """The speeds below which pairs of joint and sample are left out.
+    def speed_thresholds(self, qd: Signals) -> Float[np.ndarray, " thresholds"]:
+        """Return the speed of each joint below which its samples are left out [rad/s or m/s].
 
         **Arguments**
 
         - `qd`: velocities, shape `(samples, joints)` [rad/s or m/s].
-
-        **Returns**
-
-        One speed for each joint, shape `(joints,)` [rad/s or m/s].
 
         **Raises**
 
@@ -211,31 +305,23 @@ class Preparation:
         array([0.4])
         """
         if self.thresholds is None:
-            fraction = self.threshold_fraction
-            return friction_thresholds(
-                qd, DEFAULT_THRESHOLD_FRACTION if fraction is None else fraction
-            )
-        one = isinstance(self.thresholds, float | int)
-        return (
-            np.full(qd.shape[1], self.thresholds, float)
-            if one
-            else np.array(self.thresholds, float)
-        )
+            return friction_thresholds(qd, self._fraction)
+        listed = np.array(_listed(self.thresholds), float)
+        return np.full(qd.shape[1], listed[0]) if listed.size == 1 else listed
+
+    @property
+    def _fraction(self) -> float | tuple[float, ...]:
+        fraction = self.threshold_fraction
+        return DEFAULT_THRESHOLD_FRACTION if fraction is None else fraction
 
     def trimmed(self, recording: Recording) -> int:
         """Return the number of samples that `patterns` drops at each end of a recording.
 
-        **Arguments**
-
-        - `recording`: its interval and joints count.
-
-        **Returns**
-
-        The number of samples: `trim`, or as far as smoothing or torque lag reach.
+        It is `trim`, or as far as smoothing or torque lag reach.
         """
         return self.trimmed_of(recording.time, recording.joints)
 
-    def trimmed_of(self, time: Float[np.ndarray, " samples"], columns: int) -> int:
+    def trimmed_of(self, time: Samples, columns: int) -> int:
         """Return the number of samples dropped at each end, for columns sampled at `time`.
 
         >>> import numpy as np, jaxcslc as jc
@@ -250,7 +336,7 @@ class Preparation:
         return max(self.smoothing.reach(interval, columns), lag)
 
     def with_static_friction(self, joints: Sequence[bool]) -> "Preparation":
-        """The preparation for a network that has terms of static friction.
+        """Return the preparation for a network that has terms of static friction.
 
         Masks of slow pairs exist because viscous and dry friction alone cannot explain them. A
         term of static friction can, and is determined by slow pairs only: by default, joints
@@ -260,10 +346,6 @@ class Preparation:
         **Arguments**
 
         - `joints`: True for each joint with a term of static friction.
-
-        **Returns**
-
-        The preparation with the fractions of all joints spelled out, or itself.
 
         >>> from jaxcslc.recordings import Preparation
         >>> Preparation().with_static_friction([True, False]).threshold_fraction
@@ -278,16 +360,10 @@ class Preparation:
         return dataclasses.replace(self, threshold_fraction=fractions)
 
     def without_static_friction(self, joints: Collection[int]) -> "Preparation":
-        """The preparation when joints lose their term of static friction: they mask slow pairs.
+        """Return the preparation when joints, from 1, lose their term of static friction.
 
-        **Arguments**
-
-        - `joints`: counted from 1.
-
-        **Returns**
-
-        The preparation with the usual threshold fraction at these joints, if fractions are spelled
-        out joint by joint as by `with_static_friction`; or itself.
+        They mask slow pairs by the usual threshold fraction again, if fractions are spelled out
+        joint by joint as by `with_static_friction`.
 
         >>> from jaxcslc.recordings import Preparation
         >>> both = Preparation().with_static_friction([True, True])
@@ -303,16 +379,12 @@ class Preparation:
         return dataclasses.replace(self, threshold_fraction=fractions)
 
     def check(self, recording: Recording, chosen_on: Sampling | None = None) -> tuple[str, ...]:
-        """List the reasons against using this preparation for a recording.
+        """List the reasons against using this preparation for a recording, in sentences.
 
         **Arguments**
 
         - `recording`: to be prepared.
         - `chosen_on`: the sampling of the recording that the preparation was chosen on, if any.
-
-        **Returns**
-
-        Sentences with numbers, without the name of the recording; empty if nothing differs.
 
         >>> import numpy as np, jaxcslc as jc
         >>> time = np.arange(1000) * 0.002
@@ -344,19 +416,16 @@ reach over 36 ms to either side in place of 18 ms',)
     @property
     def description(self) -> str:
         """All options that matter, in words."""
-        if self.thresholds is None:
-            fraction = self.threshold_fraction
-            fractions = _listed(DEFAULT_THRESHOLD_FRACTION if fraction is None else fraction)
+        fractions, limits = _listed(self._fraction), _listed(self.thresholds)
+        if limits:
+            thresholds = "thresholds " + ", ".join(f"{limit:.3g}" for limit in limits)
+        elif any(fractions):
             slow = ", ".join(f"{100 * part:g}" for part in fractions)
             thresholds = f"thresholds {slow} % of top speed"
-            if not any(fractions):
-                thresholds = "slow pairs kept"
         else:
-            listed = ", ".join(f"{threshold:.3g}" for threshold in _listed(self.thresholds))
-            thresholds = f"thresholds {listed}"
-        source = (
-            "recorded velocities" if self.velocity == "recorded" else "velocities from positions"
-        )
+            thresholds = "slow pairs kept"
+        recorded = self.velocity == "recorded"
+        source = "recorded velocities" if recorded else "velocities from positions"
         margin = self.reversal_margin
         parts = [
             self.smoothing.description,
@@ -373,19 +442,8 @@ reach over 36 ms to either side in place of 18 ms',)
     def __str__(self) -> str:
         return self.description
 
-    def aligned(
-        self, time: Float[np.ndarray, " samples"], torque: Float[np.ndarray, "samples joints"]
-    ) -> Float[np.ndarray, "samples joints"]:
-        """Torques, or other inputs, of the instants of the samples: lag, alignment, smoothing.
-
-        **Arguments**
-
-        - `time`: of the samples [s].
-        - `torque`: as recorded.
-
-        **Returns**
-
-        The torques that belong to the samples.
+    def aligned(self, time: Samples, torque: Signals) -> Signals:
+        """Return torques, or other inputs, of the samples' instants: lag, alignment, smoothing.
 
         >>> import numpy as np, jaxcslc as jc
         >>> torque = np.array([0.0, 1.0, 2.0])[:, None]
@@ -411,14 +469,7 @@ def prepare(recording: Recording, **options: Any) -> Patterns:
     - `recording`: positions and torques.
     - `options`: those of `Preparation`, with the same defaults.
 
-    **Returns**
-
-    The patterns.
-
-    **Raises**
-
-    - `TypeError`: an option that `Preparation` does not have.
-    - `ValueError`: as `Preparation` and `Preparation.patterns`.
+    **Returns** the patterns; errors are those of `Preparation` and `Preparation.patterns`.
 
     >>> import numpy as np, jaxcslc as jc
     >>> time = np.arange(500) * 0.002
@@ -432,39 +483,3 @@ def prepare(recording: Recording, **options: Any) -> Patterns:
     True
     """
     return Preparation(**options).patterns(recording)
-
-
-def as_recorded(recording: Recording, **options: Any) -> Patterns:
-    """Take velocities and accelerations from the recording itself, without any smoothing.
-
-    For simulated truth, and for machines that measure both.
-
-    **Arguments**
-
-    - `recording`: with velocity and acceleration.
-    - `options`: those of `Preparation` that are about torques and masks, with the same defaults;
-      nothing is trimmed by default.
-
-    **Returns**
-
-    The patterns.
-
-    **Raises**
-
-    - `ValueError`: a recording without velocity or acceleration, options that make no sense, or
-      a selection that leaves nothing.
-
-    >>> import numpy as np
-    >>> from jaxcslc.recordings import as_recorded, Recording
-    >>> time = np.linspace(0.0, 1.0, 50)
-    >>> columns = [f(time)[:, None] for f in (np.sin, np.cos, np.cos)]
-    >>> recording = Recording(time, columns[0], columns[1], columns[2], -columns[0])
-    >>> bool((as_recorded(recording).qdd == -columns[0]).all())
-    True
-    """
-    if recording.velocity is None or recording.acceleration is None:
-        missing = "velocity" if recording.velocity is None else "acceleration"
-        raise ValueError(f"the recording has no {missing}; expected velocity and acceleration")
-    derivatives = (recording.position, recording.velocity, recording.acceleration)
-    untrimmed: dict[str, Any] = {"trim": 0, **options}
-    return Preparation(**untrimmed).patterns(recording, derivatives)

@@ -4,13 +4,17 @@ Stale rows, which repeat the row before, are found and removed here.
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
+
+Samples: TypeAlias = Float[np.ndarray, " samples"]
+Signals: TypeAlias = Float[np.ndarray, "samples joints"]
 
 MINIMUM_SAMPLES = 5
 """Fewest samples a recording may hold: two central differences (Eqn 7.2-2) span five."""
@@ -31,15 +35,13 @@ class RecordingError(ValueError):
     """
 
 
-@dataclasses.dataclass(frozen=True)
-class Fault:
+class Fault(NamedTuple):
     """The first thing that is wrong with a table of samples.
 
-    `row` counts from 0 within the table that was looked at; `None` stands for the whole table,
-    and a `column` of `None` for the whole row.
+    `row` counts from 0; a `column` of `None` stands for the whole row.
     """
 
-    row: int | None
+    row: int
     column: str | None
     problem: str
 
@@ -50,17 +52,11 @@ def first_fault(
 ) -> Fault | None:
     """Look for the earliest row that no recording may hold.
 
-    Every way into a recording, from arrays, from a file and chunk by chunk, comes through here.
-
-    **Arguments**
+    Every way into a recording, from arrays, from a file and chunk by chunk, comes through here. A
+    cell that is not finite is named before an order of times that it would make meaningless.
 
     - `columns`: the columns by name, `time` among them.
     - `before`: the row before the first, where the table continues another one.
-
-    **Returns**
-
-    The fault, or `None`. A cell that is not finite is named before an order of times that such a
-    cell would make meaningless.
     """
     time = columns["time"]
     fault: Fault | None = None
@@ -68,7 +64,7 @@ def first_fault(
         bad = ~(np.abs(values) <= LARGEST_VALUE)
         if bad.any():
             row = int(np.argmax(bad))
-            if fault is None or fault.row is None or row < fault.row:
+            if fault is None or row < fault.row:
                 expected = (
                     f"a number up to {LARGEST_VALUE:g}"
                     if np.isfinite(values[row])
@@ -82,7 +78,7 @@ def first_fault(
     if not stuck.any():
         return fault
     row = int(np.argmax(stuck)) + first
-    if fault is not None and fault.row is not None and fault.row <= row:
+    if fault is not None and fault.row <= row:
         return fault
 
     def previous(name: str) -> float:
@@ -101,8 +97,18 @@ def first_fault(
     )
 
 
+def check_samples(columns: Mapping[str, Float[np.ndarray, " rows"]]) -> None:
+    """**Raises** `RecordingError` for the earliest sample that no recording may hold.
+
+    - `columns`: by name, `time` among them; samples count from 1 in the message.
+    """
+    if fault := first_fault(columns):
+        where = "" if fault.column is None else f", {fault.column}"
+        raise RecordingError(f"sample {fault.row + 1}{where}: {fault.problem}")
+
+
 def column_names(quantity: str, joints: int) -> list[str]:
-    """`position_1` to `position_n`: how a file names the joints of one quantity."""
+    """Return `position_1` to `position_n`: how a file names the joints of one quantity."""
     return [f"{quantity}_{joint}" for joint in range(1, joints + 1)]
 
 
@@ -112,17 +118,12 @@ def as_columns(
     /,
     **quantities: Float[np.ndarray, "samples joints"] | None,
 ) -> dict[str, Float[np.ndarray, " samples"]]:
-    """A recording's arrays as the columns of a file, those that are absent left out.
-
-    Columns are numbered, or called by the joints' names.
-    """
+    """Return a recording's arrays as the columns of a file, numbered or called by joints' names."""
     columns = {"time": time}
     for quantity, values in quantities.items():
         if values is not None:
-            names = column_names(quantity, values.shape[1])
-            if joint_names is not None:
-                names = [f"{quantity}_{joint}" for joint in joint_names]
-            columns.update(zip(names, values.T, strict=True))
+            labels = joint_names or range(1, values.shape[1] + 1)
+            columns |= {f"{quantity}_{x}": v for x, v in zip(labels, values.T, strict=True)}
     return columns
 
 
@@ -231,10 +232,7 @@ class Recording(eqx.Module):
             raise RecordingError(
                 f"{samples} samples; expected at least {MINIMUM_SAMPLES} for an acceleration"
             )
-        fault = first_fault(as_columns(self.time, **quantities))
-        if fault is not None and fault.row is not None:
-            where = "" if fault.column is None else f", {fault.column}"
-            raise RecordingError(f"sample {fault.row + 1}{where}: {fault.problem}")
+        check_samples(as_columns(self.time, **quantities))
 
     @property
     def samples(self) -> int:
@@ -253,37 +251,34 @@ class Recording(eqx.Module):
 
         - `selected`: a slice, or True for each sample to keep, shape `(samples,)`.
 
-        **Returns**
-
-        The recording of these samples.
-
         **Raises**
 
         - `RecordingError`: fewer than five are left.
         """
-        return Recording(
-            self.time[selected],
-            self.position[selected],
-            self.torque[selected],
-            None if self.velocity is None else self.velocity[selected],
-            None if self.acceleration is None else self.acceleration[selected],
-            joint_names=self.joint_names,
-            notes=self.notes,
-            torque_measured=self.torque_measured,
-            fixed_motion=self.fixed_motion,
-            following_error=self.following_error,
+        return self.at_times(self.time[selected], lambda values: values[selected])
+
+    def at_times(
+        self,
+        time: Float[np.ndarray, " new"],
+        change: Callable[[Signals], Float[np.ndarray, "new joints"]],
+    ) -> "Recording":
+        """Return the recording at other times: `change` is applied to each of its quantities."""
+        velocity, acceleration = self.velocity, self.acceleration
+        return dataclasses.replace(
+            self,
+            time=time,
+            position=change(self.position),
+            torque=change(self.torque),
+            velocity=None if velocity is None else change(velocity),
+            acceleration=None if acceleration is None else change(acceleration),
         )
 
     def between(self, start: float, end: float) -> "Recording":
-        """A stretch of the recording.
+        """Return a segment of the recording, its times unchanged.
 
         **Arguments**
 
-        - `start`, `end`: seconds since the first sample; both ends belong to the stretch.
-
-        **Returns**
-
-        The recording of this stretch, its times unchanged.
+        - `start`, `end`: seconds since the first sample; both ends belong to the segment.
 
         **Raises**
 
@@ -364,15 +359,7 @@ def fresh_rows(recording: Recording, every: int) -> Recording:
 
 
 def stale_rows(recording: Recording) -> Bool[np.ndarray, " samples"]:
-    """Mark the samples whose values all repeat those of the sample before.
-
-    **Arguments**
-
-    - `recording`: as recorded.
-
-    **Returns**
-
-    True for each stale sample, shape `(samples,)`; never for the first.
+    """Mark the samples, shape `(samples,)`, whose values all repeat those of the sample before.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import Recording, stale_rows

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from ._recording import Recording
+from ._recording import Recording, Samples, Signals
 
 
 # An encoder counts as coarser, readings as noisier, from these ratios on. What `noise_level` sees
@@ -14,9 +14,14 @@ _COARSER, _NOISIER = 1.5, 3.0
 # Intervals that differ from their mean by less than this part of it count as regular.
 _REGULAR = 0.01
 _ORDER = 6  # of the differences that noise is seen in
-_BINOMIAL = np.array([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0])  # of even intervals
+_BINOMIAL = np.poly(np.ones(_ORDER))  # of even intervals
 # Third differences that see more than so many times as much as sixth ones have seen motion.
 _MOTION = 1.5
+
+
+UNIFORM_TO = 1e-3
+"""Intervals that differ by less than this part of their mean count as equal: time stamps are
+written with a finite number of digits, and a part in a thousand changes no derivative by more."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,16 +51,7 @@ class Sampling:
 
     @classmethod
     def of(cls, recording: Recording) -> "Sampling":
-        """The sampling of a recording.
-
-        **Arguments**
-
-        - `recording`: with or without steps and even intervals.
-
-        **Returns**
-
-        Its sampling.
-        """
+        """Return the sampling of a recording, with or without steps and even intervals."""
         intervals = np.diff(recording.time)
         interval = float(np.median(intervals))
         return cls(
@@ -66,16 +62,10 @@ class Sampling:
         )
 
     def coarser_than(self, other: "Sampling") -> tuple[str, ...]:
-        """List what is coarser here than in another sampling of the same joints.
-
-        **Arguments**
-
-        - `other`: that settings were chosen for.
-
-        **Returns**
+        """List what is coarser here than in the sampling that settings were chosen for.
 
         A sentence for each joint whose encoder is coarser or whose readings are noisier, and one
-        for irregular time stamps; empty if there is nothing to say.
+        for irregular time stamps.
         """
         sentences: list[str] = []
         # At another rate, differences of the motion itself would pass for noise.
@@ -101,8 +91,33 @@ class Sampling:
         return tuple(sentences)
 
 
+def uniform_interval(time: Samples) -> float:
+    """Return the interval of uniformly spaced times [s].
+
+    **Raises**
+
+    - `ValueError`: times that are not uniform; samples count from 1 in the message.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import uniform_interval
+    >>> uniform_interval(np.array([0.0, 0.25, 0.5]))
+    0.25
+    """
+    if time.size < 2:
+        raise ValueError(f"{time.size} samples; expected two or more for an interval")
+    interval = float((time[-1] - time[0]) / (time.size - 1))
+    intervals = np.diff(time)
+    worst = int(np.argmax(np.abs(intervals - interval)))
+    if abs(intervals[worst] - interval) > UNIFORM_TO * interval:
+        raise ValueError(
+            f"time is not uniform: {intervals[worst]:.6g} s from sample {worst + 1} to the next, "
+            f"{interval:.6g} s in the mean; expected equal intervals (resample the recording first)"
+        )
+    return interval
+
+
 def encoder_resolution(
-    position: Float[np.ndarray, "samples joints"],
+    position: Signals,
 ) -> Float[np.ndarray, " joints"]:
     """Estimate the counts that recorded positions are made of, joint by joint.
 
@@ -132,18 +147,13 @@ def encoder_resolution(
     return np.array([_smallest_step(column) for column in position.T])
 
 
-def noise_level(values: Float[np.ndarray, "samples joints"]) -> Float[np.ndarray, " joints"]:
+def noise_level(values: Signals) -> Float[np.ndarray, " joints"]:
     r"""Estimate how far recorded values scatter about a smooth motion, column by column.
 
     Third differences of a motion that is smooth on the scale of a few samples are all noise,
     $\sqrt{20}$ times that of the values. Their median absolute value disregards the few that
     straddle a jump. Where `sixth_differences` see much less, the third ones have seen motion, and
     the sixth ones count. Quantisation adds a step's $1/\sqrt{12}$, the least there can be.
-
-    (From noise alone, 3,000 samples, third differences scatter by 2.5 % and sixth ones by 3.3 %; of
-    encoder counts they see 1.15 times a step's $1/\sqrt{12}$, sixth ones 0.84 to 1.01 times. Of a
-    motion with an amplitude of a hundred thousand times the noise and 100 samples a period, third
-    ones see 5.6 times the noise, sixth ones 1.0.)
 
     **Arguments**
 
@@ -171,10 +181,10 @@ def noise_level(values: Float[np.ndarray, "samples joints"]) -> Float[np.ndarray
 
 
 def sixth_differences(
-    values: Float[np.ndarray, "samples joints"],
-    time: Float[np.ndarray, " samples"] | None = None,
+    values: Signals,
+    time: Samples | None = None,
 ) -> Float[np.ndarray, "differences joints"]:
-    """Divided differences of sixth order, scaled so that white noise keeps its variance.
+    """Return divided differences of sixth order, scaled so that white noise keeps its variance.
 
     A polynomial of fifth order, and so next to all motion that is sampled well, is not in them:
     motion of a period of 20 samples is a thousandth of its amplitude.
@@ -210,7 +220,7 @@ def sixth_differences(
     return np.einsum("sp,sjp->sj", weights, windows)
 
 
-def _smallest_step(values: Float[np.ndarray, " samples"]) -> float:
+def _smallest_step(values: Samples) -> float:
     levels = np.unique(values)
     steps = np.diff(levels)
     # Equal counts may differ by rounding of their conversion to radians.

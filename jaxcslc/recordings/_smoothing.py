@@ -1,11 +1,12 @@
-"""Base class of smoothing methods, and their names in files of settings.
+"""Smoothing methods, and their names in files of settings.
 
-Methods are in `_splines` and `_filters`.
+Central differences, Butterworth, and Savitzky and Golay; the thesis's own method is in `_splines`.
 """
 
 import abc
 import dataclasses
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from typing import Any, TypeAlias, TypeVar
 
 import equinox as eqx
@@ -13,12 +14,15 @@ import numpy as np
 from jaxtyping import Float
 
 from .._field_types import check_field_types
+from ._low_pass import zero_phase
+from ._recording import Samples, Signals
+from ._sampling import uniform_interval
 
 
 Derivatives: TypeAlias = tuple[
-    Float[np.ndarray, "samples joints"],
-    Float[np.ndarray, "samples joints"],
-    Float[np.ndarray, "samples joints"],
+    Signals,
+    Signals,
+    Signals,
 ]
 """Positions, velocities and accelerations, each of shape `(samples, joints)`."""
 
@@ -54,19 +58,13 @@ class AbstractSmoothing(eqx.Module):
     """
 
     @abc.abstractmethod
-    def smooth(
-        self, time: Float[np.ndarray, " samples"], position: Float[np.ndarray, "samples joints"]
-    ) -> Derivatives:
-        """Smooth and differentiate positions.
+    def smooth(self, time: Samples, position: Signals) -> Derivatives:
+        """Return positions, velocities and accelerations, each of shape `(samples, joints)`.
 
         **Arguments**
 
         - `time`: instants of the samples, shape `(samples,)` [s].
         - `position`: joint positions, shape `(samples, joints)` [rad or m].
-
-        **Returns**
-
-        `q`, `qd`, `qdd`, each of shape `(samples, joints)`.
 
         **Raises**
 
@@ -74,24 +72,12 @@ class AbstractSmoothing(eqx.Module):
         """
 
     @abc.abstractmethod
-    def low_pass(
-        self, time: Float[np.ndarray, " samples"], signal: Float[np.ndarray, "samples joints"]
-    ) -> Float[np.ndarray, "samples joints"]:
-        """Smooth a signal that is no position, such as a torque, by the same filter.
-
-        **Arguments**
-
-        - `time`: instants of the samples, shape `(samples,)` [s].
-        - `signal`: shape `(samples, joints)`.
-
-        **Returns**
-
-        The smoothed signal, shape `(samples, joints)`.
-        """
+    def low_pass(self, time: Samples, signal: Signals) -> Signals:
+        """Smooth a signal that is no position, such as a torque, by the same filter."""
 
     @abc.abstractmethod
     def reach(self, interval: float, joints: int) -> int:
-        """The number of samples to either side that a smoothed sample depends on.
+        """Return the number of samples to either side that a smoothed sample depends on.
 
         `Preparation` drops as many samples at both ends of a recording.
 
@@ -99,25 +85,13 @@ class AbstractSmoothing(eqx.Module):
 
         - `interval`: between samples [s].
         - `joints`: how many joints there are.
-
-        **Returns**
-
-        The number of samples, 0 or more.
         """
 
-    def settled(self, position: Float[np.ndarray, "samples joints"]) -> "AbstractSmoothing":
+    def settled(self, position: Signals) -> "AbstractSmoothing":
         """Return the smoothing with numbers instead of what it estimates from positions.
 
         Another motion is then smoothed as this one is. A subclass that estimates nothing from
         positions inherits this method, which returns the smoothing itself.
-
-        **Arguments**
-
-        - `position`: joint positions, shape `(samples, joints)` [rad or m].
-
-        **Returns**
-
-        A smoothing that smooths these positions alike.
 
         >>> import numpy as np
         >>> from jaxcslc.recordings import AveragedSplines, Butterworth
@@ -146,14 +120,6 @@ def register_smoothing(name: str) -> Callable[[_Smoothing], _Smoothing]:
     The fields of the class are written beside the name: numbers, words, flags, None, or tuples of
     them.
 
-    **Arguments**
-
-    - `name`: as in `"butterworth"`.
-
-    **Returns**
-
-    A decorator of the class.
-
     **Raises**
 
     - `ValueError`: a name that another class has.
@@ -175,15 +141,7 @@ def register_smoothing(name: str) -> Callable[[_Smoothing], _Smoothing]:
 
 
 def smoothing_document(smoothing: AbstractSmoothing) -> dict[str, Any]:
-    """A smoothing as plain data, to be written and read again.
-
-    **Arguments**
-
-    - `smoothing`: of a registered class.
-
-    **Returns**
-
-    Its registered name as `"method"`, and its fields.
+    """Return a smoothing as plain data: its registered name as `"method"`, and its fields.
 
     **Raises**
 
@@ -205,15 +163,7 @@ def smoothing_document(smoothing: AbstractSmoothing) -> dict[str, Any]:
 
 
 def smoothing_from(document: Any) -> AbstractSmoothing:
-    """A smoothing from what `smoothing_document` made, read from JSON or TOML.
-
-    **Arguments**
-
-    - `document`: a mapping.
-
-    **Returns**
-
-    The smoothing.
+    """Return a smoothing from what `smoothing_document` made, read from JSON or TOML.
 
     **Raises**
 
@@ -241,21 +191,11 @@ def smoothing_from(document: Any) -> AbstractSmoothing:
         raise ValueError(f"settings, smoothing: {error}") from None
 
 
-def without_rounding(
-    position: Float[np.ndarray, "samples joints"], derivatives: Derivatives
-) -> Derivatives:
+def without_rounding(position: Signals, derivatives: Derivatives) -> Derivatives:
     """Set velocity and acceleration of joints that never move to exactly zero.
 
     Smoothing leaves rounding of them, whose sign would be taken for a direction of motion.
-
-    **Arguments**
-
-    - `position`: before smoothing, shape `(samples, joints)`.
-    - `derivatives`: positions, velocities and accelerations.
-
-    **Returns**
-
-    The derivatives.
+    `position` is before smoothing, shape `(samples, joints)`.
 
     >>> import numpy as np
     >>> still, noise = np.full((3, 1), 0.3), np.full((3, 1), 1e-17)
@@ -265,3 +205,182 @@ def without_rounding(
     q, qd, qdd = derivatives
     moves = np.ptp(position, axis=0) > 1e-12 * np.max(np.abs(position), axis=0)
     return q, np.where(moves, qd, 0.0), np.where(moves, qdd, 0.0)
+
+
+@register_smoothing("central_differences")
+class CentralDifferences(AbstractSmoothing):
+    """Plain differences of neighbouring samples (thesis, Eqns 7.2-1 and 7.2-2).
+
+    No smoothing at all: of positions in steps of d, the accelerations are in steps of
+    d / (4 interval²). Here to be compared with, and for positions without noise.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import CentralDifferences
+    >>> time = np.arange(7.0)
+    >>> q, qd, qdd = CentralDifferences().smooth(time, (time**2)[:, None])
+    >>> qd[3, 0], qdd[3, 0]
+    (np.float64(6.0), np.float64(2.0))
+    """
+
+    def smooth(self, time: Samples, position: Signals) -> Derivatives:
+        interval = uniform_interval(time)
+        velocity = np.gradient(position, interval, axis=0, edge_order=2)
+        return position, velocity, np.gradient(velocity, interval, axis=0, edge_order=2)
+
+    def low_pass(self, time: Samples, signal: Signals) -> Signals:
+        del time
+        return signal
+
+    def reach(self, interval: float, joints: int) -> int:
+        del interval, joints
+        return 2
+
+    @property
+    def description(self) -> str:
+        return "central differences"
+
+
+@register_smoothing("butterworth")
+class Butterworth(AbstractSmoothing):
+    """The field's usual way: a zero-phase Butterworth filter, then central differences.
+
+    The filter runs over the record forwards and backwards, so it delays nothing and its
+    magnitude counts twice: at the cut-off it passes half, not 0.71.
+
+    Time must be uniform; see `resample`.
+
+    **Attributes**
+
+    - `cutoff`: of the filter [Hz].
+    - `order`: of one of its two passes.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import Butterworth
+    >>> time = np.arange(1000) * 0.002
+    >>> position = 1e-4 * np.round(np.sin(2 * np.pi * time) / 1e-4)[:, None]
+    >>> q, qd, qdd = Butterworth(cutoff=20.0).smooth(time, position)
+    >>> error = qdd[:, 0] + (2 * np.pi) ** 2 * np.sin(2 * np.pi * time)
+    >>> bool(np.max(np.abs(error[100:-100])) < 0.5)
+    True
+    """
+
+    cutoff: float
+    order: int = 4
+
+    def __check_init__(self):
+        if not self.cutoff > 0.0:
+            raise ValueError(f"cut-off is {self.cutoff} Hz; expected more than 0")
+        if self.order < 1:
+            raise ValueError(f"filter order is {self.order}; expected 1 or more")
+
+    def smooth(self, time: Samples, position: Signals) -> Derivatives:
+        return CentralDifferences().smooth(time, self.low_pass(time, position))
+
+    def low_pass(self, time: Samples, signal: Signals) -> Signals:
+        return zero_phase(signal, uniform_interval(time), cutoff=self.cutoff, order=self.order)
+
+    def reach(self, interval: float, joints: int) -> int:
+        del joints
+        return int(np.ceil(0.5 / (self.cutoff * interval)))
+
+    @property
+    def description(self) -> str:
+        order = "" if self.order == 4 else f" of order {self.order}"
+        return f"Butterworth{order} at {self.cutoff:g} Hz"
+
+
+@register_smoothing("savitzky_golay")
+class SavitzkyGolay(AbstractSmoothing):
+    """Derivatives of polynomials fitted to the samples around each (Savitzky and Golay, 1964).
+
+    A polynomial is fitted by least squares to a window that moves along the record; its value and
+    derivatives in the middle are those of the sample there. Within half a window of an end of the
+    record, they are those of the polynomial of the last whole window. As the window is symmetric,
+    nothing is delayed.
+
+    Its acceleration is that of the same polynomial: even orders and the odd ones above them give
+    the same position in the middle, odd orders and the even ones below them the same velocity.
+
+    Time must be uniform; see `resample`.
+
+    **Attributes**
+
+    - `window`: how many samples a polynomial is fitted to, an odd number.
+    - `order`: of the polynomials, 2 or more and less than `window`.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import SavitzkyGolay
+    >>> time = np.arange(1000) * 0.002
+    >>> position = 1e-4 * np.round(np.sin(2 * np.pi * time) / 1e-4)[:, None]
+    >>> q, qd, qdd = SavitzkyGolay(window=41).smooth(time, position)
+    >>> error = qdd[:, 0] + (2 * np.pi) ** 2 * np.sin(2 * np.pi * time)
+    >>> bool(np.max(np.abs(error[20:-20])) < 0.5)
+    True
+    """
+
+    window: int
+    order: int = 3
+
+    def __check_init__(self):
+        if self.window < 3 or self.window % 2 == 0:
+            raise ValueError(f"window is {self.window} samples; expected an odd number from 3 on")
+        if not 2 <= self.order < self.window:
+            raise ValueError(
+                f"polynomial order is {self.order}; expected at least 2, for there to be an "
+                f"acceleration, and less than the window of {self.window} samples"
+            )
+
+    def smooth(self, time: Samples, position: Signals) -> Derivatives:
+        q, qd, qdd = (self._filter(time, position, derivative) for derivative in range(3))
+        return q, qd, qdd
+
+    def low_pass(self, time: Samples, signal: Signals) -> Signals:
+        return self._filter(time, signal, 0)
+
+    def reach(self, interval: float, joints: int) -> int:
+        del interval, joints
+        return self.window // 2
+
+    @property
+    def description(self) -> str:
+        return f"Savitzky-Golay of {self.window} samples and order {self.order}"
+
+    def _filter(
+        self,
+        time: Samples,
+        signal: Signals,
+        derivative: int,
+    ) -> Signals:
+        interval = uniform_interval(time)
+        if time.size < self.window:
+            raise ValueError(
+                f"{time.size} samples; expected {self.window} or more for a window of as many"
+            )
+        half = self.window // 2
+        weights = _polynomial_weights(self.window, self.order, derivative) / interval**derivative
+        filtered = np.empty(signal.shape)
+        for smoothed, column in zip(filtered.T, signal.T, strict=True):
+            smoothed[half:-half] = np.correlate(column, weights[half], mode="valid")
+        filtered[:half] = weights[:half] @ signal[: self.window]
+        filtered[-half:] = weights[-half:] @ signal[-self.window :]
+        return filtered
+
+
+@lru_cache(maxsize=64)
+def _polynomial_weights(
+    window: int, order: int, derivative: int
+) -> Float[np.ndarray, "window window"]:
+    """Return the weights of a window's samples for a derivative of the polynomial fitted to them.
+
+    Row i gives the derivative at sample i; the interval between samples is 1.
+    """
+    from numpy.polynomial import legendre
+
+    half = window // 2
+    x = np.arange(-half, half + 1) / half
+    basis, transform = np.linalg.qr(legendre.legvander(x, order))
+    slopes = legendre.legder(np.eye(order + 1), derivative) / half**derivative
+    values = legendre.legvander(x, len(slopes) - 1) @ slopes
+    weights = values @ np.linalg.solve(transform, basis.T)
+    weights.setflags(write=False)
+    return weights

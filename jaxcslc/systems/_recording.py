@@ -18,7 +18,7 @@ from ..recordings import (
     Preparation,
     RecordingError,
     away_from_reversals,
-    first_fault,
+    check_samples,
     friction_mask,
     friction_thresholds,
     load_columns,
@@ -67,10 +67,7 @@ class SystemRecording:
                 )
         if len(time) < MINIMUM_SAMPLES:
             raise RecordingError(f"{len(time)} samples; expected at least {MINIMUM_SAMPLES}")
-        fault = first_fault({**columns, "time": time})
-        if fault is not None and fault.row is not None:
-            where = "" if fault.column is None else f", {fault.column}"
-            raise RecordingError(f"sample {fault.row + 1}{where}: {fault.problem}")
+        check_samples({**columns, "time": time})
 
     @property
     def samples(self) -> int:

@@ -8,7 +8,6 @@ from jaxtyping import Bool, Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.recordings import as_recorded
 from jaxcslc.uncertainty import SystematicError, uncertainty_interval
 
 
@@ -68,7 +67,6 @@ def moving_patterns(
     """
     recording, truth = performed
     torque = truth.torque if torque is None else torque
-    motion = jc.Recording(
-        recording.time, truth.position, torque, truth.velocity, truth.acceleration
-    )
-    return as_recorded(motion, thresholds=MOVING)
+    motion = truth.position, truth.velocity, truth.acceleration
+    moving = jc.Preparation(thresholds=MOVING, trim=0)
+    return moving.patterns(jc.Recording(recording.time, truth.position, torque), motion)

@@ -13,11 +13,10 @@ import sim
 from jaxcslc.checks import estimate_torque_lag, small_torque_lag, without_outliers
 from jaxcslc.checks._sample_findings import (
     LEAST_DISTANCE,
+    Outliers,
     clipping,
     clock_findings,
-    outlier_findings,
-    outliers,
-    outliers_of,
+    mark_outliers,
     sample_findings,
     time_unit,
 )
@@ -200,7 +199,7 @@ def test_what_is_wrong_with_rows_is_named(arm: jc.CSLC, clean: jc.Recording, nam
     spoilt, names = spoil(clean), arm.robot.joint_names
     first, *others = [
         *clock_findings(spoilt),
-        *outlier_findings(spoilt, outliers_of(spoilt), names),
+        *Outliers.of(spoilt).findings(spoilt, names),
         *sample_findings(spoilt, names),
     ]
     assert (first.kind, first.joint, others) == (kind, joint, [])
@@ -254,12 +253,12 @@ def test_outliers_are_neither_steps_nor_peaks(rng: np.random.Generator) -> None:
     wave = np.stack(
         [np.sin(9 * time), np.sign(np.sin(5 * time + 0.1)), np.round(20 * np.cos(time))], 1
     )
-    assert not outliers(wave, 0.5).any()
+    assert not mark_outliers(wave, 0.5).any()
     # Nor the ends and peaks of a fast motion that few samples show.
-    assert not outliers(np.sin(0.12 * np.arange(1, 500))[:, None], 0.02).any()
-    assert not outliers(wave + 0.01 * rng.standard_normal(wave.shape), 0.5).any()
+    assert not mark_outliers(np.sin(0.12 * np.arange(1, 500))[:, None], 0.02).any()
+    assert not mark_outliers(wave + 0.01 * rng.standard_normal(wave.shape), 0.5).any()
     wave[[100, 700, 2990], [0, 1, 2]] += 40.0
-    assert np.argwhere(outliers(wave, 0.5)).tolist() == [[100, 0], [700, 1], [2990, 2]]
+    assert np.argwhere(mark_outliers(wave, 0.5)).tolist() == [[100, 0], [700, 1], [2990, 2]]
 
 
 def test_motion_that_goes_on_in_a_gap_is_no_outlier() -> None:
@@ -267,8 +266,8 @@ def test_motion_that_goes_on_in_a_gap_is_no_outlier() -> None:
     time = np.arange(3000) * 0.004
     wave = np.sin(5 * time)[:, None]
     recording = jc.Recording(time, wave, wave).rows((time < 0.3) | (time > 1.2))
-    assert outliers(recording.position, LEAST_DISTANCE["position"]).any()
-    assert not any(marked.any() for marked in outliers_of(recording).values())
+    assert mark_outliers(recording.position, LEAST_DISTANCE["position"]).any()
+    assert not any(marked.any() for marked in Outliers.of(recording).marked.values())
     np.testing.assert_array_equal(without_outliers(recording).position, recording.position)
 
 

@@ -10,10 +10,10 @@ from jaxcslc.recordings import (
     Butterworth,
     CentralDifferences,
     Patterns,
+    Preparation,
     Recording,
     SavitzkyGolay,
     align_torque,
-    as_recorded,
     away_from_reversals,
     choose_spacing,
     encoder_resolution,
@@ -181,16 +181,11 @@ def test_torque_is_smoothed_by_the_same_filter(smoothing: AveragedSplines | Butt
 
 def test_motion_as_recorded() -> None:
     recording = swinging()
-    patterns = as_recorded(recording, trim=3)
     assert recording.velocity is not None and recording.acceleration is not None
+    motion = recording.position, recording.velocity, recording.acceleration
+    patterns = Preparation(trim=3).patterns(recording, motion)
     assert np.array_equal(patterns.qd, recording.velocity[3:-3])
     assert np.array_equal(patterns.qdd, recording.acceleration[3:-3])
-    without = Recording(recording.time, recording.position, recording.torque, recording.velocity)
-    with pytest.raises(ValueError, match="the recording has no acceleration; expected velocity"):
-        as_recorded(without)
-    without = Recording(recording.time, recording.position, recording.torque)
-    with pytest.raises(ValueError, match="the recording has no velocity"):
-        as_recorded(without)
 
 
 def test_patterns_of_a_stretch_of_time() -> None:

@@ -152,7 +152,7 @@ def friction_jumps(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[float
 def test_reversals_are_found_to_a_fraction_of_a_sample() -> None:
     time = np.arange(75, 1270) * INTERVAL
     q, _, turns = friction_jumps(time)
-    reversals = find_reversals(time, quantised(q), tolerance=3 * COUNT, window=22)
+    (reversals,) = find_reversals(time, quantised(q)[:, None], tolerance=3 * COUNT, window=22)
     assert [reversal.direction for reversal in reversals] == [-1, 1, -1, 1, -1, 1]
     errors = np.array([reversal.time for reversal in reversals]) - turns[:6]
     assert np.sqrt(np.mean(errors**2)) < 0.1 * INTERVAL
@@ -194,7 +194,7 @@ def test_velocities_of_a_section_share_one_sign(rng: np.random.Generator, noise:
     position = np.sin(3 * time) + 0.3 * np.sin(7.7 * time) + noise * rng.standard_normal(3000)
     position = quantised(position)
     spacing, tolerance = 11, 3 * COUNT + 6 * noise
-    turns = find_reversals(time, position, tolerance=tolerance, window=16)
+    (turns,) = find_reversals(time, position[:, None], tolerance=tolerance, window=16)
     truth = 3 * np.cos(3 * time) + 0.3 * 7.7 * np.cos(7.7 * time)
     assert len(turns) == np.sum(np.diff(np.sign(truth)) != 0)
     _, qd, _ = AveragedSplines(spacing, True, tolerance).smooth(time, position[:, None])
@@ -241,7 +241,7 @@ def test_a_flickering_count_is_no_reversal() -> None:
     time = np.arange(500) * INTERVAL
     position = COUNT * np.round(0.01 * time / COUNT + 0.4 * np.cos(np.arange(500)))
     assert np.any(np.diff(position) < 0)
-    assert find_reversals(time, position, tolerance=3 * COUNT, window=15) == ()
+    assert find_reversals(time, position[:, None], tolerance=3 * COUNT, window=15) == [()]
 
 
 def test_low_pass_does_not_look_for_reversals() -> None:
@@ -280,6 +280,7 @@ def test_wrong_settings() -> None:
 def test_a_turn_beside_the_ends_of_a_short_record_is_found() -> None:
     """Fewer samples around a turn than two cubics have coefficients."""
     time = np.arange(5) * 0.01
-    (turn,) = find_reversals(time, np.array([0.0, 1.0, 0.2, 0.1, 0.0]), tolerance=0.5, window=1)
+    position = np.array([0.0, 1.0, 0.2, 0.1, 0.0])[:, None]
+    ((turn,),) = find_reversals(time, position, tolerance=0.5, window=1)
     assert turn.direction == -1
     assert 0.0 < turn.time < 0.02

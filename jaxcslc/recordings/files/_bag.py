@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxcslc._environment import MissingExtraError, require
+from jaxcslc._environment import require
 
 from .._recording import RecordingError
-from ._csv_table import one_line
-from ._layout import Header, to_fix
+from ._layout import Header, one_line, to_fix
 
 
 _STATE = "sensor_msgs/msg/JointState"
@@ -47,10 +46,7 @@ class JointStates:
         self.values.append(tuple(arrays))
 
     def columns(self, path: Path) -> tuple[Header, dict[str, np.ndarray]]:
-        """The messages as columns `time [ns]`, `position_NAME`, `velocity_NAME`, `effort_NAME`.
-
-        **Raises** `RecordingError` for messages that differ in what they hold.
-        """
+        """Return columns `time [ns]`, `position_NAME`, `velocity_NAME`, `effort_NAME`."""
         notes: list[str] = []
         time = np.array(self.stamps, np.int64)
         if not np.any(time):
@@ -93,18 +89,12 @@ def read_bag(
 ) -> tuple[Header, dict[str, np.ndarray]]:
     """Read the joint states of a bag of ROS 1 or 2, or of an MCAP file.
 
-    **Arguments**
-
     - `path`: a `.bag`, `.mcap` or `.db3` file, or the folder of a ROS 2 bag.
     - `joints`: that the messages are to have, among others; None for any.
     - `topic`: of the messages; by default the only one that has them.
 
-    **Returns** the header and the columns.
-
-    **Raises**
-
-    - `RecordingError`: what is no bag, no message of these joints, several topics that have them.
-    - `MissingExtraError`: without rosbags (the extra `bags`).
+    **Raises** `RecordingError` for what is no bag, no message of these joints, and several topics
+    that have them; `MissingExtraError` without rosbags (the extra `bags`).
     """
     groups = joint_states(path, joints, topic)
     if len(groups) > 1:
@@ -116,13 +106,14 @@ def read_bag(
 
 
 def joint_states(path: Path, joints: Sequence[str] | None, topic: str | None) -> list[JointStates]:
-    """All joint states of a bag that have these joints, by topic; as `read_bag` otherwise."""
-    with _one_line_errors(path), _opened(path) as reader:
+    """Return the joint states of a bag that have these joints, by topic; see `read_bag`."""
+    with _opened(path) as reader:
         connections = [c for c in reader.connections if c.msgtype == _STATE]
         if not connections:
+            kinds = sorted({(c.topic, c.msgtype) for c in reader.connections})
+            topics = [f"{topic} ({kind.replace('/msg/', '/')})" for topic, kind in kinds]
             raise RecordingError(
-                f"{path}: no sensor_msgs/JointState; the bag has"
-                f" {_topics((c.topic, c.msgtype) for c in reader.connections)}"
+                f"{path}: no sensor_msgs/JointState; the bag has {', '.join(topics) or 'no topics'}"
             )
         if topic is not None:
             topics = sorted({c.topic for c in connections})
@@ -144,7 +135,9 @@ def joint_states(path: Path, joints: Sequence[str] | None, topic: str | None) ->
     wanted = [g for g in groups.values() if g.names and set(joints or ()) <= set(g.names)]
     if not wanted:
         have = _listed(groups.values()) if groups else "no message"
-        missing = _missing(joints or (), groups.values())
+        # Of the topic with the most of them.
+        lacking = [[name for name in joints or () if name not in g.names] for g in groups.values()]
+        missing = min(lacking, key=len, default=list(joints or ()))
         named = f" of {', '.join(missing)}" if joints is not None else ""
         raise RecordingError(
             f"{path}: no joint states{named}; the bag has {have}; expected the names of the robot's"
@@ -156,29 +149,21 @@ def joint_states(path: Path, joints: Sequence[str] | None, topic: str | None) ->
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Generator[Any]:
-    """A reader of the bag, with the message types of common ROS versions where it has none."""
+    """Open a bag with the message types of common ROS versions where it has none.
+
+    Errors within are of one line.
+    """
     reader = require("rosbags.highlevel", "bags").AnyReader
     types = require("rosbags.typesys", "bags")
     store = types.Stores.ROS1_NOETIC if path.suffix == ".bag" else types.Stores.ROS2_HUMBLE
-    with reader([path], default_typestore=types.get_typestore(store)) as opened:
-        yield opened
-
-
-@contextlib.contextmanager
-def _one_line_errors(path: Path) -> Generator[None]:
     try:
-        yield
-    except (RecordingError, MissingExtraError, PermissionError):
+        with reader([path], default_typestore=types.get_typestore(store)) as opened:
+            yield opened
+    except (RecordingError, PermissionError):
         raise
     except Exception as error:  # decompression, SQLite, YAML and rosbags have errors of their own
         reason = one_line(error) or type(error).__name__
         raise RecordingError(f"{path}: is no readable bag: {reason}") from error
-
-
-def _missing(joints: Sequence[str], groups: Iterable[JointStates]) -> list[str]:
-    """Return the joints that the topic with the most of them lacks."""
-    lacking = [[joint for joint in joints if joint not in group.names] for group in groups]
-    return min(lacking, key=len, default=list(joints))
 
 
 def _listed(groups: Iterable[JointStates]) -> str:
@@ -186,8 +171,3 @@ def _listed(groups: Iterable[JointStates]) -> str:
         f"{group.topic} ({len(group.values)} messages of {', '.join(group.names) or 'no joints'})"
         for group in groups
     )
-
-
-def _topics(topics: Iterable[tuple[str, str]]) -> str:
-    listed = [f"{topic} ({kind.replace('/msg/', '/')})" for topic, kind in sorted(set(topics))]
-    return ", ".join(listed) or "no topics"

@@ -13,23 +13,28 @@ from typing import Any
 from jaxcslc._toml_document import toml_document
 
 from .._recording import RecordingError
-from ._layout import QUANTITIES, ColumnLayout, Header, LayoutColumn, listed_units, si_factor
-
-
-_TOP_KEYS = {"joints", "topic", "delimiter", "time", *QUANTITIES}
-_TABLE_KEYS = {"columns", "unit", "sign", "constant", "gear"}
+from ._layout import (
+    QUANTITIES,
+    ColumnLayout,
+    Header,
+    LayoutColumn,
+    beginning,
+    is_numbered,
+    listed_units,
+    si_factor,
+)
+from ._layouts import layout_by_format
 
 
 @dataclasses.dataclass(frozen=True)
 class MappedQuantity:
     """Mapping of a file's columns to one quantity.
 
-    **Attributes**
-
-    - `columns`: their names, one a joint; or one text in which `{joint}` stands for a joint's name,
-      `{number}` for its number from 1 and `{index}` for that from 0; None: as the format has them.
+    - `columns`: their names, one per joint; or one text in which `{joint}` stands for a joint's
+      name, `{number}` for its number from 1 and `{index}` for that from 0; None: as the format has
+      them.
     - `unit`: None: as the format has it, or else SI.
-    - `factors`: sign times torque constant [N m/A] times gear ratio, one a joint or one for all.
+    - `factors`: sign times torque constant [N m/A] times gear ratio, one per joint or one for all.
     - `has_constant`: whether the factors contain a torque constant.
     """
 
@@ -37,6 +42,93 @@ class MappedQuantity:
     unit: str | None = None
     factors: tuple[float, ...] = (1.0,)
     has_constant: bool = False
+
+    @classmethod
+    def of(cls, table: Any, quantity: str, where: str) -> "MappedQuantity":
+        """Parse a table of the mapping; `where` names it in messages."""
+        if not isinstance(table, Mapping):
+            raise RecordingError(f"{where}: expected a table, got {table!r}")
+        multipliers = {"time": (), "torque": ("sign", "constant", "gear")}.get(quantity, ("sign",))
+        _check_keys(table, {"columns", "unit", *multipliers}, where)
+        columns = table.get("columns")
+        if columns is not None and not isinstance(columns, str):
+            columns = _texts(columns, f"{where}, columns")
+            if quantity == "time" and len(columns) != 1:
+                raise RecordingError(f"{where}, columns: expected one column, got {list(columns)}")
+        unit = _text(table.get("unit"), f"{where}, unit")
+        kinds = (quantity, "current") if quantity == "torque" else (quantity,)
+        if unit is not None and all(si_factor(unit, kind) is None for kind in kinds):
+            expected = "; ".join(listed_units(kind) for kind in kinds)
+            raise RecordingError(f"{where}, unit: expected {expected}, got {unit!r}")
+        factors = [1.0]
+        for key in multipliers:
+            if key not in table:
+                continue
+            numbers = _numbers(table[key], f"{where}, {key}")
+            if len(factors) > 1 and len(numbers) not in (1, len(factors)):
+                raise RecordingError(
+                    f"{where}, {key}: expected {len(factors)} numbers, got {len(numbers)}"
+                )
+            count = max(len(factors), len(numbers))
+            factors = [factors[i % len(factors)] * numbers[i % len(numbers)] for i in range(count)]
+        return cls(columns, unit, tuple(factors), "constant" in table)
+
+    def named_columns(
+        self,
+        standard: tuple[LayoutColumn, ...] | None,
+        count: int | None,
+        names: tuple[str, ...] | None,
+        where: str,
+    ) -> tuple[LayoutColumn, ...]:
+        """Return the columns of joints, before their units.
+
+        `standard` are those of the file's format, `count` and `names` are of the joints.
+        """
+        if self.columns is None:
+            if standard is None:
+                raise RecordingError(f"{where}: expected columns = ...: the file's format has none")
+            return standard
+        if isinstance(self.columns, tuple):
+            return tuple(map(LayoutColumn, self.columns))
+        if count is None:
+            raise RecordingError(f"{where}, columns: expected a list, or joints = [...] beside it")
+        if "{joint}" in self.columns and names is None:
+            raise RecordingError(f"{where}, columns: {{joint}} needs joints = [...] beside it")
+        return tuple(
+            LayoutColumn(
+                self.columns.replace("{joint}", "" if names is None else names[i])
+                .replace("{number}", str(i + 1))
+                .replace("{index}", str(i))
+            )
+            for i in range(count)
+        )
+
+    def with_units(
+        self, columns: tuple[LayoutColumn, ...], quantity: str, where: str
+    ) -> tuple[LayoutColumn, ...]:
+        """Return the columns with SI units in one unit of each."""
+        count = len(columns)
+        if len(self.factors) not in (1, count):
+            raise RecordingError(
+                f"{where}: {len(self.factors)} numbers of sign, constant or gear; expected {count},"
+                " one for each joint, or one"
+            )
+        unit = None
+        if self.unit is not None:
+            current = si_factor(self.unit, "current") if quantity == "torque" else None
+            if current is not None and not self.has_constant:
+                raise RecordingError(
+                    f"{where}: {self.unit} is a current; expected constant = ..., the torque"
+                    " constant [N m/A] of each joint, and gear = ..., its gear ratio; constants"
+                    " that are not known: jaxcslc constants, from recordings with and without a"
+                    " known payload"
+                )
+            unit = current or si_factor(self.unit, quantity) or 1.0
+        factors = self.factors * count if len(self.factors) == 1 else self.factors
+        return tuple(
+            LayoutColumn(column.name, (column.factor if unit is None else unit) * factor)
+            for column, factor in zip(columns, factors, strict=True)
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,7 +183,7 @@ class ColumnMapping:
 
     @classmethod
     def of(cls, document: Mapping[str, Any], source: str = "columns") -> "ColumnMapping":
-        """A mapping from what its TOML file holds.
+        """Return the mapping that a TOML file holds.
 
         **Arguments**
 
@@ -100,17 +192,17 @@ class ColumnMapping:
 
         **Raises** `RecordingError` for unknown keys, units and types.
         """
-        _check_keys(document, _TOP_KEYS, source)
+        _check_keys(document, {"joints", "topic", "delimiter", "time", *QUANTITIES}, source)
         joints = document.get("joints")
-        quantities = {
-            name: _mapped(document[name], name, f"{source}, [{name}]")
-            for name in ("time", *QUANTITIES)
-            if name in document
-        }
         file_joints = None
         if isinstance(joints, Mapping):
             file_joints = _texts(list(joints.values()), f"{source}, joints")
             joints = list(joints)
+        quantities = {
+            name: MappedQuantity.of(document[name], name, f"{source}, [{name}]")
+            for name in ("time", *QUANTITIES)
+            if name in document
+        }
         return cls(
             None if joints is None else _texts(joints, f"{source}, joints"),
             file_joints,
@@ -120,174 +212,77 @@ class ColumnMapping:
             source,
         )
 
-    def layout(
-        self,
-        file: str,
-        header: Header,
-        base: ColumnLayout | None,
-        joints: int | Sequence[str] | None,
-    ) -> ColumnLayout:
-        """The layout of a file with this mapping.
+    def layout(self, file: str, header: Header, joints: int | Sequence[str] | None) -> ColumnLayout:
+        """Return the layout of a file with this mapping.
 
         **Arguments**
 
         - `file`: as it is named in messages.
         - `header`: of the file.
-        - `base`: what its format says; None for a format of the user's own.
-        - `joints`: of the robot: names or number.
+        - `joints`: of the robot: names, which decide on the order, or how many.
 
         **Raises** `RecordingError` for columns that the file does not have, numbers of columns that
         differ, units of another quantity and currents without a torque constant.
         """
-        notes = header.notes
-        if base is not None:
-            ordered = base
-            if base.joint_names is not None:
-                ordered = base.of_joints(file, self.file_joints or self.joints or joints)
-            # A note about the format's torques is none about those of the mapping.
-            about_file = header.notes if "torque" in self.quantities else base.notes
-            notes = (*about_file, *ordered.notes[len(base.notes) :])
-            base = ordered
-        base_quantities = {} if base is None else dict(base.quantities)
-        names = self.joints or (None if base is None else base.joint_names)
-        count = self._count(base, names, joints)
-        quantities: dict[str, tuple[LayoutColumn, ...]] = {}
-        for quantity in QUANTITIES:
-            mapped = self.quantities.get(quantity)
-            if mapped is None:
-                if quantity in base_quantities:
-                    quantities[quantity] = base_quantities[quantity]
+        base = self._base(file, header, joints)
+        names = self.joints or base.joint_names
+        counts = [len(names)] if names is not None else self._counts(base, joints)
+        quantities = dict(base.quantities)
+        for quantity, mapped in self.quantities.items():
+            if quantity == "time":
                 continue
             where = f"{self.source}, [{quantity}]"
-            columns = self._columns(mapped, base_quantities.get(quantity), count, names, where)
-            factors = _factors(mapped, quantity, columns, where)
-            quantities[quantity] = tuple(
-                LayoutColumn(column.name, factor)
-                for column, factor in zip(columns, factors, strict=True)
-            )
-        time = self._time(base)
-        for column in (time, *(column for some in quantities.values() for column in some)):
-            if column.name not in header.names:
-                listed = ", ".join(header.names[:12]) + (", ..." if header.names[12:] else "")
-                raise RecordingError(
-                    f"{file}: no column {column.name!r} of {self.source}; the file has {listed}"
-                )
-        return ColumnLayout(
-            time,
-            quantities,
-            names,
-            notes=notes,
-            hint=header.hint if base is None else base.hint,
+            standard = base.quantities.get(quantity)
+            columns = mapped.named_columns(standard, max(counts, default=None), names, where)
+            quantities[quantity] = mapped.with_units(columns, quantity, where)
+        layout = dataclasses.replace(
+            base,
+            time_column=self._time(base.time_column),
+            quantities={q: quantities[q] for q in QUANTITIES if q in quantities},
+            joint_names=names,
+            relative=True,
+            torque_measured=True,
         )
+        for name in layout.names:
+            if name not in header.names:
+                raise RecordingError(
+                    f"{file}: no column {name!r} of {self.source}; the file has"
+                    f" {beginning(header.names)}"
+                )
+        layout = layout.checked(file)
+        if self.joints is not None and not isinstance(joints, int | None) and is_numbered(joints):
+            return layout.for_joints(file, len(joints))  # the mapping says their order
+        return layout.for_joints(file, joints)
 
-    def _time(self, base: ColumnLayout | None) -> LayoutColumn:
-        mapped = self.quantities.get("time", MappedQuantity())
-        named = mapped.columns if isinstance(mapped.columns, str) else None
-        if isinstance(mapped.columns, tuple):
-            (named,) = mapped.columns
-        standard = LayoutColumn("time") if base is None else base.time_column
-        if mapped.unit is None:
-            return standard if named is None else LayoutColumn(named)
-        return LayoutColumn(named or standard.name, si_factor(mapped.unit, "time") or 1.0)
+    def _base(self, file: str, header: Header, joints: int | Sequence[str] | None) -> ColumnLayout:
+        """Return what the file's format says; no columns for a format of the user's own."""
+        try:
+            base = layout_by_format(file, header)
+        except RecordingError as error:  # the mapping has to say everything
+            hint = str(error).removeprefix(f"{file}: ")
+            return ColumnLayout(LayoutColumn("time"), {}, notes=header.notes, hint=hint)
+        if "torque" in self.quantities:
+            # A note about the format's torques is none about those of the mapping.
+            base = dataclasses.replace(base, notes=header.notes)
+        if base.joint_names is None:
+            return base
+        return base.for_joints(file, self.file_joints or self.joints or joints)
 
-    def _count(
-        self,
-        base: ColumnLayout | None,
-        names: tuple[str, ...] | None,
-        joints: int | Sequence[str] | None,
-    ) -> int | None:
-        """Return the number of joints that have columns, or None where nothing states it."""
-        if names is not None:
-            return len(names)
-        listed = [len(m.columns) for m in self.quantities.values() if isinstance(m.columns, tuple)]
-        if base is not None and base.joints:
-            listed.append(base.joints)
+    def _counts(self, base: ColumnLayout, joints: int | Sequence[str] | None) -> list[int]:
+        """Return the numbers of joints that something states."""
+        counts = [len(m.columns) for m in self.quantities.values() if isinstance(m.columns, tuple)]
+        if base.joints:
+            counts.append(base.joints)
         if joints is not None:
-            listed.append(joints if isinstance(joints, int) else len(joints))
-        return max(listed, default=None)
+            counts.append(joints if isinstance(joints, int) else len(joints))
+        return counts
 
-    def _columns(
-        self,
-        mapped: MappedQuantity,
-        standard: tuple[LayoutColumn, ...] | None,
-        count: int | None,
-        names: tuple[str, ...] | None,
-        where: str,
-    ) -> tuple[LayoutColumn, ...]:
-        if mapped.columns is None:
-            if standard is None:
-                raise RecordingError(f"{where}: expected columns = ...: the file's format has none")
-            return standard
-        if isinstance(mapped.columns, tuple):
-            return tuple(LayoutColumn(name) for name in mapped.columns)
-        if count is None:
-            raise RecordingError(f"{where}, columns: expected a list, or joints = [...] beside it")
-        if "{joint}" in mapped.columns and names is None:
-            raise RecordingError(f"{where}, columns: {{joint}} needs joints = [...] beside it")
-        return tuple(
-            LayoutColumn(
-                mapped.columns.replace("{joint}", "" if names is None else names[i])
-                .replace("{number}", str(i + 1))
-                .replace("{index}", str(i))
-            )
-            for i in range(count)
-        )
-
-
-def _factors(
-    mapped: MappedQuantity, quantity: str, columns: tuple[LayoutColumn, ...], where: str
-) -> list[float]:
-    """SI units in one unit of each column."""
-    count = len(columns)
-    if len(mapped.factors) not in (1, count):
-        raise RecordingError(
-            f"{where}: {len(mapped.factors)} numbers of sign, constant or gear; expected {count},"
-            " one for each joint, or one"
-        )
-    if mapped.unit is None:
-        units = [column.factor for column in columns]
-    else:
-        current = si_factor(mapped.unit, "current") if quantity == "torque" else None
-        if current is not None and not mapped.has_constant:
-            raise RecordingError(
-                f"{where}: {mapped.unit} is a current; expected constant = ..., the torque constant"
-                " [N m/A] of each joint, and gear = ..., its gear ratio; constants that are not"
-                " known: jaxcslc constants, from recordings with and without a known payload"
-            )
-        factor = current or si_factor(mapped.unit, quantity) or 1.0
-        units = [factor] * count
-    factors = mapped.factors * count if len(mapped.factors) == 1 else mapped.factors
-    return [unit * factor for unit, factor in zip(units, factors, strict=True)]
-
-
-def _mapped(table: Any, quantity: str, where: str) -> MappedQuantity:
-    if not isinstance(table, Mapping):
-        raise RecordingError(f"{where}: expected a table, got {table!r}")
-    allowed = _TABLE_KEYS if quantity == "torque" else _TABLE_KEYS - {"constant", "gear"}
-    allowed = {"columns", "unit"} if quantity == "time" else allowed
-    _check_keys(table, allowed, where)
-    columns = table.get("columns")
-    if columns is not None and not isinstance(columns, str):
-        columns = _texts(columns, f"{where}, columns")
-    if quantity == "time" and isinstance(columns, tuple) and len(columns) != 1:
-        raise RecordingError(f"{where}, columns: expected one column, got {list(columns)}")
-    unit = _text(table.get("unit"), f"{where}, unit")
-    kinds = (quantity, "current") if quantity == "torque" else (quantity,)
-    if unit is not None and all(si_factor(unit, kind) is None for kind in kinds):
-        listed = "; ".join(listed_units(kind) for kind in kinds)
-        raise RecordingError(f"{where}, unit: expected {listed}, got {unit!r}")
-    factors = [1.0]
-    for key in ("sign", "constant", "gear"):
-        if key in table:
-            numbers = _numbers(table[key], f"{where}, {key}")
-            if len(factors) > 1 and len(numbers) not in (1, len(factors)):
-                raise RecordingError(
-                    f"{where}, {key}: expected {len(factors)} numbers, got {len(numbers)}"
-                )
-            count = max(len(factors), len(numbers))
-            factors, numbers = (v * count if len(v) == 1 else v for v in (factors, numbers))
-            factors = [a * b for a, b in zip(factors, numbers, strict=True)]
-    return MappedQuantity(columns, unit, tuple(factors), "constant" in table)
+    def _time(self, standard: LayoutColumn) -> LayoutColumn:
+        mapped = self.quantities.get("time", MappedQuantity())
+        name = mapped.columns[0] if isinstance(mapped.columns, tuple) else mapped.columns
+        if mapped.unit is None:
+            return standard if name is None else LayoutColumn(name)
+        return LayoutColumn(name or standard.name, si_factor(mapped.unit, "time") or 1.0)
 
 
 def _numbers(value: Any, where: str) -> list[float]:

@@ -1,6 +1,7 @@
 """Layout of a recording file: its columns, their quantities, joints and units.
 
-`_layouts` and `_column_mapping` make layouts; `_tables` reads the columns that a layout names.
+`_column_mapping` makes layouts of what a user states, `_layouts` of column names alone; `_tables`
+reads the columns that a layout names.
 """
 
 import dataclasses
@@ -17,15 +18,12 @@ from .._recording import RecordingError
 
 
 REQUIRED = ("position", "torque")
-OPTIONAL = ("velocity", "acceleration")
-QUANTITIES = (*REQUIRED, *OPTIONAL)
+QUANTITIES = (*REQUIRED, "velocity", "acceleration")
 
 
 @dataclasses.dataclass(frozen=True)
 class Header:
     """Information that a file gives on its columns before they are read.
-
-    **Attributes**
 
     - `names`: of the columns.
     - `joint_names`: of the joints in the columns' order, where the file has them apart.
@@ -51,10 +49,8 @@ class LayoutColumn:
 class ColumnLayout:
     """Assignment of a file's columns to a recording's quantities, and their units.
 
-    **Attributes**
-
     - `time_column`: of the samples' instants.
-    - `quantities`: for `"position"`, `"torque"` and further ones, one column a joint.
+    - `quantities`: for `"position"`, `"torque"` and further ones, one column per joint.
     - `joint_names`: in the order of the columns; None where joints are numbered.
     - `relative`: whether time counts from the first sample, as where the file counts from 1970.
     - `notes`: sentences about what was decided in reading the file.
@@ -76,26 +72,24 @@ class ColumnLayout:
         return max((len(columns) for columns in self.quantities.values()), default=0)
 
     @property
-    def names(self) -> list[str]:
+    def columns(self) -> list[LayoutColumn]:
         """The columns to read, time first."""
-        ordered = (self.quantities.get(quantity, ()) for quantity in QUANTITIES)
-        return [self.time_column.name, *(column.name for some in ordered for column in some)]
+        return [self.time_column, *itertools.chain.from_iterable(self.quantities.values())]
 
     @property
-    def time(self) -> str:
-        """The name of the time column."""
-        return self.time_column.name
+    def names(self) -> list[str]:
+        """Names of the columns to read, time first."""
+        return [column.name for column in self.columns]
 
     @property
     def factors(self) -> dict[str, float]:
         """SI units in one unit of each column that is read."""
-        columns = (column for some in self.quantities.values() for column in some)
-        return {column.name: column.factor for column in (self.time_column, *columns)}
+        return {column.name: column.factor for column in self.columns}
 
     def split(
         self, table: Mapping[str, Float[np.ndarray, " rows"]]
     ) -> dict[str, Float[np.ndarray, "rows joints"] | None]:
-        """The columns of a table put together, one array a quantity; `None` for absent ones."""
+        """Return the columns of a table put together, an array per quantity; `None` if absent."""
         return {
             quantity: np.stack([table[column.name] for column in self.quantities[quantity]], 1)
             if quantity in self.quantities
@@ -104,7 +98,7 @@ class ColumnLayout:
         }
 
     def checked(self, file: str) -> "ColumnLayout":
-        """The layout, if a recording can be made of it.
+        """Return the layout, if a recording can be made of it.
 
         **Raises** `RecordingError` for a quantity that is missing, numbers of columns that differ,
         or a column that is used twice.
@@ -127,8 +121,8 @@ class ColumnLayout:
             raise RecordingError(f"{file}: column {repeated[0]!r} is used more than once")
         return self
 
-    def of_joints(self, file: str, joints: int | Sequence[str] | None) -> "ColumnLayout":
-        """The layout with the columns of a robot's joints, in their order.
+    def for_joints(self, file: str, joints: int | Sequence[str] | None) -> "ColumnLayout":
+        """Return the layout with the columns of a robot's joints, in their order.
 
         **Arguments**
 
@@ -140,23 +134,32 @@ class ColumnLayout:
         if joints is None:
             return self
         names = () if isinstance(joints, int) else tuple(joints)
-        count = joints if isinstance(joints, int) else len(names)
-        unnamed = bool(names) and is_numbered(names)
-        if not names or unnamed or self.joint_names is None:
-            return self._in_file_order(file, count, names, numbered=unnamed)
-        missing = [name for name in names if name not in self.joint_names]
-        if missing:
+        have, numbered = self.joint_names, bool(names) and is_numbered(names)
+        if not names or numbered or have is None:
+            count = joints if isinstance(joints, int) else len(names)
+            if self.joints != count:
+                lacking = () if numbered else names[self.joints :]
+                had = "" if have is None else f" ({listed(have)})"
+                raise RecordingError(
+                    f"{file}: {self.joints} position columns{had}; expected {count}, one for each"
+                    f" joint of the robot{to_fix(lacking, names)}"
+                )
+            if numbered and have is not None and not _count_up(have):
+                raise RecordingError(
+                    f"{file}: joints {listed(have)}, but the robot's joints have no names; name"
+                    " them in the robot's file (name = ... of each [[joint]]), or list the"
+                    " recording's in the robot's order: joints = [...] in a file of --columns"
+                )
+            return self
+        if missing := [name for name in names if name not in have]:
             raise RecordingError(
-                f"{file}: no joint {_listed(missing)}; the recording has"
-                f" {_listed(self.joint_names)}; expected the names of the robot's file, or"
-                " joints = {robot's name = 'recording's name'} in a file of --columns"
-                + to_fix(missing, names)
+                f"{file}: no joint {listed(missing)}; the recording has {listed(have)}; expected"
+                " the names of the robot's file, or joints = {robot's name = 'recording's name'}"
+                f" in a file of --columns{to_fix(missing, names)}"
             )
-        others = [name for name in self.joint_names if name not in names]
-        notes = self.notes
-        if others:
-            notes = (*notes, f"joints that are not read: {_listed(others)}")
-        order = [self.joint_names.index(name) for name in names]
+        others = [name for name in have if name not in names]
+        unread = (f"joints that are not read: {listed(others)}",) if others else ()
+        order = [have.index(name) for name in names]
         return dataclasses.replace(
             self,
             quantities={
@@ -164,26 +167,8 @@ class ColumnLayout:
                 for quantity, columns in self.quantities.items()
             },
             joint_names=names,
-            notes=notes,
+            notes=(*self.notes, *unread),
         )
-
-    def _in_file_order(
-        self, file: str, count: int, names: Sequence[str], *, numbered: bool
-    ) -> "ColumnLayout":
-        if self.joints != count:
-            lacking = () if numbered else names[self.joints :]
-            had = "" if self.joint_names is None else f" ({_listed(self.joint_names)})"
-            raise RecordingError(
-                f"{file}: {self.joints} position columns{had}; expected {count}, one for each joint"
-                f" of the robot{to_fix(lacking, names)}"
-            )
-        if numbered and self.joint_names is not None and not _count_up(self.joint_names):
-            raise RecordingError(
-                f"{file}: joints {_listed(self.joint_names)}, but the robot's joints have no names;"
-                " name them in the robot's file (name = ... of each [[joint]]), or list the"
-                " recording's in the robot's order: joints = [...] in a file of --columns"
-            )
-        return self
 
 
 def is_numbered(names: Sequence[str]) -> bool:
@@ -207,23 +192,35 @@ def to_fix(missing: Sequence[str], names: Sequence[str]) -> str:
 
 
 def _count_up(names: Sequence[str]) -> bool:
-    """Return whether names differ in a number alone, which counts upwards.
-
-    The order of the columns is then the order of the joints.
-    """
-    parts = [re.fullmatch(r"(.*?)([0-9]+)(\D*)", name) for name in names]
-    stems = {(part[1], part[3]) for part in parts if part is not None}
-    numbers = [int(part[2]) for part in parts if part is not None]
+    """Return whether names differ in a number alone, which counts upwards as columns do."""
+    parts = [part for name in names if (part := re.fullmatch(r"(.*?)([0-9]+)(\D*)", name))]
+    numbers = [int(part[2]) for part in parts]
     return (
-        len(numbers) == len(names)
-        and len(stems) == 1
+        len(parts) == len(names)
+        and len({(part[1], part[3]) for part in parts}) == 1
         and all(after == before + 1 for before, after in itertools.pairwise(numbers))
     )
 
 
-def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(repr(name) if not name.isidentifier() else name for name in names[:12])
-    return shown if len(names) <= 12 else f"{shown} and {len(names) - 12} more"
+def listed(names: Sequence[str], most: int = 12) -> str:
+    """Return names for a message, those with spaces in quotes.
+
+    >>> listed(["elbow", "joint 2", "wrist"], most=2)
+    "elbow, 'joint 2' and 1 more"
+    """
+    shown = ", ".join(repr(name) if not name.isidentifier() else name for name in names[:most])
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+def beginning(names: Sequence[str], most: int = 12) -> str:
+    """Return the first columns of a file for a message, as it has them."""
+    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
+
+
+def one_line(error: Exception, most: int = 300) -> str:
+    """Return an error's message on one line, cut where it quotes a file's bytes at length."""
+    text = " ".join(str(error).split())
+    return text if len(text) <= most else f"{text[:most]} ..."
 
 
 _TURN = 2.0 * math.pi
@@ -237,9 +234,7 @@ UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
             **{"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREE, "rpm": _TURN / 60.0},
             **{"m/s": 1.0, "mm/s": 1e-3},
         },
-        "acceleration": {
-            **{"rad/s^2": 1.0, "deg/s^2": _DEGREE, "m/s^2": 1.0, "mm/s^2": 1e-3},
-        },
+        "acceleration": {"rad/s^2": 1.0, "deg/s^2": _DEGREE, "m/s^2": 1.0, "mm/s^2": 1e-3},
         "torque": {"N m": 1.0, "mN m": 1e-3, "kN m": 1e3, "N": 1.0, "mN": 1e-3, "kN": 1e3},
         "current": {"A": 1.0, "mA": 1e-3},
     }
@@ -269,7 +264,7 @@ def si_factor(unit: str, quantity: str) -> float | None:
 
 
 def listed_units(quantity: str) -> str:
-    """The units of a quantity, for a message.
+    """Return the units of a quantity, for a message.
 
     >>> listed_units("current")
     'A or mA'

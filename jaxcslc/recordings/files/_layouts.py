@@ -3,48 +3,87 @@
 import dataclasses
 import re
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 from .._recording import RecordingError, column_names
-from ._column_mapping import ColumnMapping
 from ._layout import (
     QUANTITIES,
     REQUIRED,
     ColumnLayout,
     Header,
     LayoutColumn,
-    is_numbered,
+    listed,
     listed_units,
     si_factor,
 )
 
 
-_JOINTS = 7
-_NAMES = {"position": "state.q", "torque": "state.tau_J", "velocity": "state.dq"}
+def layout_by_format(file: str, header: Header) -> ColumnLayout:
+    """Choose what a file's columns mean, by their names.
+
+    Logs of Universal Robots and libfranka, columns that say joint and unit, or this package's
+    own.
+
+    **Raises** `RecordingError`: one line that says what is missing or unknown.
+    """
+    names = set(header.names)
+    if {"timestamp", "actual_q_0"} <= names:
+        return _rtde_layout(header)
+    if {"time", "state.q[0]"} <= names:
+        return _libfranka_layout(header)
+    if any(column.is_telling for column in _named_columns(header)):
+        return _named_layout(file, header)
+    return _own_layout(file, header.names)
 
 
-def is_libfranka(header: Header) -> bool:
-    """Return whether columns are those of `franka::logToCSV`."""
-    return {"time", "state.q[0]"} <= set(header.names)
-
-
-def libfranka_layout(header: Header) -> ColumnLayout:
-    """The layout of the log that libfranka writes, `franka::logToCSV`.
+def _libfranka_layout(header: Header, joints: int = 7) -> ColumnLayout:
+    """Return the layout of the log that libfranka writes, `franka::logToCSV`.
 
     Columns `time` [ms], `state.q[0]` to `state.q[6]` [rad], `state.dq[0]` and on [rad/s],
     `state.tau_J[0]` and on [N m]: torques measured at the links, gravity included. Commands
     are not read.
     """
+    stems = {"position": "state.q", "torque": "state.tau_J", "velocity": "state.dq"}
     quantities = {
-        quantity: tuple(LayoutColumn(f"{stem}[{joint}]") for joint in range(_JOINTS))
-        for quantity, stem in _NAMES.items()
-        if f"{stem}[{_JOINTS - 1}]" in header.names
+        quantity: tuple(LayoutColumn(f"{stem}[{joint}]") for joint in range(joints))
+        for quantity, stem in stems.items()
+        if f"{stem}[{joints - 1}]" in header.names
     }
-    return ColumnLayout(
-        LayoutColumn("time", 1e-3),
-        quantities,
-        notes=header.notes,
-        hint="the log has no column state.tau_J[6]",
-    )
+    hint = "the log has no column state.tau_J[6]"
+    return ColumnLayout(LayoutColumn("time", 1e-3), quantities, notes=header.notes, hint=hint)
+
+
+def _rtde_layout(header: Header) -> ColumnLayout:
+    """Return the layout of a log of Universal Robots' real-time data exchange (RTDE).
+
+    As `record.py` of the RTDE client library and `RTDEReceive` write it: columns `timestamp` [s],
+    `actual_q_0` to `actual_q_5` [rad], `actual_qd_0` and on [rad/s]; cells are separated by spaces
+    or commas. Torques are `actual_current_as_torque_0` and on [N m], or else `target_moment_0`
+    and on [N m], with a note: the controller computes them from its model. `actual_current_0`
+    and on [A] need torque constants, see `ColumnMapping`.
+    """
+
+    def columns(*stems: str) -> tuple[LayoutColumn, ...]:
+        """Return the columns `stem_0`, `stem_1` and on, of the first stem that has any."""
+        for stem in stems:
+            matches = (re.fullmatch(rf"{stem}_([0-9]+)", name) for name in header.names)
+            if numbers := sorted(int(match[1]) for match in matches if match):
+                return tuple(LayoutColumn(f"{stem}_{number}") for number in numbers)
+        return ()
+
+    torque = columns("actual_current_as_torque", "target_moment")
+    found = {"position": columns("actual_q"), "torque": torque, "velocity": columns("actual_qd")}
+    notes, hint = header.notes, "the log has none of actual_current_as_torque_0, target_moment_0"
+    if torque and torque[0].name == "target_moment_0":
+        notes = (
+            *notes,
+            "torques are target_moment, which the controller computes from its own model; log"
+            " actual_current_as_torque, or actual_current with torque constants (--columns)",
+        )
+    elif currents := columns("actual_current"):
+        hint = _current_hint(column.name for column in currents)
+    quantities = {quantity: some for quantity, some in found.items() if some}
+    return ColumnLayout(LayoutColumn("timestamp"), quantities, notes=notes, hint=hint)
 
 
 _PREFIXES = {
@@ -55,7 +94,7 @@ _PREFIXES = {
     "torque": ("torque", "tau", "effort"),
     "current": ("current",),
 }
-_QUANTITIES = {prefix: name for name, prefixes in _PREFIXES.items() for prefix in prefixes}
+_QUANTITY_OF = {prefix: name for name, prefixes in _PREFIXES.items() for prefix in prefixes}
 _COLUMN = re.compile(
     r"""(?P<prefix>[A-Za-z]+)
         (?:_(?P<joint>.+?) | \[(?P<index>[0-9]+)\] | (?P<number>[0-9]+))?
@@ -64,175 +103,138 @@ _COLUMN = re.compile(
 )
 
 
-@dataclasses.dataclass(frozen=True)
-class NamedColumn:
-    """Meaning of a column's name: `q_shoulder [deg]` is a position of `shoulder` in degrees."""
+class _NamedColumn(NamedTuple):
+    """Meaning of a column's name: `q_shoulder [deg]` is a position of `shoulder` in degrees.
+
+    `joint` is empty where the name has none.
+    """
 
     name: str
-    prefix: str
     quantity: str
-    joint: str | None
+    joint: str
     unit: str | None
-
-    @classmethod
-    def of(cls, name: str) -> "NamedColumn | None":
-        """Parse a column's name; return None if it does not begin with a quantity's name.
-
-        >>> NamedColumn.of("q_shoulder [deg]").joint, NamedColumn.of("tau[0]").quantity
-        ('shoulder', 'torque')
-        """
-        parts = _COLUMN.fullmatch(name)
-        if parts is None or parts["prefix"].lower() not in _QUANTITIES:
-            return None
-        joint = next((parts[key] for key in ("joint", "index", "number") if parts[key]), None)
-        prefix = parts["prefix"].lower()
-        return cls(name, prefix, _QUANTITIES[prefix], joint, parts["unit"])
 
     @property
     def is_telling(self) -> bool:
         """True if the name says more than the names that this package writes."""
-        if self.unit is not None:
-            return True
-        if self.quantity != "position":
-            return False
-        return re.fullmatch(r"position_[0-9]+", self.name) is None
+        own = re.fullmatch(r"position_[0-9]+", self.name)
+        return self.unit is not None or (self.quantity == "position" and own is None)
+
+    def with_factor(self, file: str) -> LayoutColumn:
+        """Return the column with the factor of its unit, that of SI units if it has none."""
+        if self.unit is None:
+            return LayoutColumn(self.name)
+        factor = si_factor(self.unit, self.quantity)
+        if factor is None and self.quantity == "torque" and si_factor(self.unit, "current"):
+            raise RecordingError(f"{file}: no torque: {_current_hint([self.name])}")
+        if factor is None:
+            raise RecordingError(
+                f"{file}: column {self.name!r}: {self.unit!r} is no unit of {self.quantity};"
+                f" expected {listed_units(self.quantity)}"
+            )
+        return LayoutColumn(self.name, factor)
 
 
-def is_named_header(header: Header) -> bool:
-    """Return whether column names state quantity, joint and unit."""
-    columns = [NamedColumn.of(name) for name in header.names]
-    return any(column is not None and column.is_telling for column in columns)
+def _named_columns(header: Header) -> list[_NamedColumn]:
+    """Parse the names of columns; those that do not begin with a quantity's name are left out."""
+    columns: list[_NamedColumn] = []
+    for name in header.names:
+        parts = _COLUMN.fullmatch(name)
+        quantity = None if parts is None else _QUANTITY_OF.get(parts["prefix"].lower())
+        if parts is not None and quantity is not None:
+            joint = parts["joint"] or parts["index"] or parts["number"] or ""
+            columns.append(_NamedColumn(name, quantity, joint, parts["unit"]))
+    return columns
 
 
-def named_layout(file: str, header: Header) -> ColumnLayout:
-    """The layout of a file whose column names say quantity, joint and, in brackets, unit.
+def _named_layout(file: str, header: Header) -> ColumnLayout:
+    """Return the layout of a file whose column names say quantity, joint and, in brackets, unit.
 
     As in `t [ms],q_shoulder [deg],tau_shoulder [N m]`: SI units where a name has none. Columns
     without a quantity's name are left out, and a note says so.
-
-    **Raises** `RecordingError` for a unit that is none of the quantity, a joint of which a
-    quantity is missing, and currents, which need a torque constant.
     """
-    columns = [column for name in header.names if (column := NamedColumn.of(name)) is not None]
-    times = [column for column in columns if column.quantity == "time" and column.joint is None]
+    columns = _named_columns(header)
+    times = [column for column in columns if column.quantity == "time" and not column.joint]
     if len(times) != 1:
-        listed = ", ".join(repr(column.name) for column in times) or "none"
-        raise RecordingError(f"{file}: columns of time: {listed}; expected one, as in 'time [s]'")
+        found = ", ".join(repr(column.name) for column in times) or "none"
+        raise RecordingError(f"{file}: columns of time: {found}; expected one, as in 'time [s]'")
     by_quantity = {
-        quantity: {c.joint or "": c for c in columns if c.quantity == quantity}
-        for quantity in _PREFIXES
-        if quantity != "time"
+        quantity: {column.joint: column for column in columns if column.quantity == quantity}
+        for quantity in (*QUANTITIES, "current")
     }
     currents = by_quantity.pop("current")
-    joints = _ordered(list(by_quantity["position"]))
+    joints = list(by_quantity["position"])
+    numbered = all(joint.isdigit() for joint in joints)
     if not joints:
         raise RecordingError(f"{file}: no column of positions, as in 'q_shoulder [rad]'")
+    if numbered:
+        joints.sort(key=int)
     hint = header.hint
     if currents and not by_quantity["torque"]:
-        hint = current_hint(column.name for column in currents.values())
+        hint = _current_hint(column.name for column in currents.values())
     quantities: dict[str, tuple[LayoutColumn, ...]] = {}
-    for quantity, of_joints in by_quantity.items():
-        if not of_joints:
+    for quantity, found in by_quantity.items():
+        if not found:
             continue
-        for joint in [*joints, *of_joints]:
-            if joint not in of_joints or joint not in joints:
-                lacking = quantity if joint not in of_joints else "position"
+        for joint in [*joints, *found]:
+            if joint not in found or joint not in joints:
+                lacking = quantity if joint not in found else "position"
                 raise RecordingError(
                     f"{file}: no {lacking} of joint {joint!r}; the file has positions of"
-                    f" {', '.join(joints)} and {quantity} of {', '.join(of_joints)}"
+                    f" {', '.join(joints)} and {quantity} of {', '.join(found)}"
                 )
-        quantities[quantity] = tuple(_column(file, of_joints[joint]) for joint in joints)
-    read = {times[0].name, *(c.name for some in quantities.values() for c in some)}
-    unread = [name for name in header.names if name not in read]
-    notes = header.notes
-    if unread:
-        listed = ", ".join(unread[:8]) + (f" and {len(unread) - 8} more" if unread[8:] else "")
-        notes = (*notes, f"columns that are not read: {listed}")
-    numbered = all(joint.isdigit() for joint in joints)
+        quantities[quantity] = tuple(found[joint].with_factor(file) for joint in joints)
     names = None if numbered or joints == [""] else tuple(joints)
-    return ColumnLayout(
-        _column(file, times[0]), quantities, header.joint_names or names, notes=notes, hint=hint
+    layout = ColumnLayout(
+        times[0].with_factor(file), quantities, header.joint_names or names, hint=hint
     )
+    unread = [name for name in header.names if name not in layout.names]
+    more = f" and {len(unread) - 8} more" if len(unread) > 8 else ""
+    note = (f"columns that are not read: {', '.join(unread[:8])}{more}",) if unread else ()
+    return dataclasses.replace(layout, notes=(*header.notes, *note))
 
 
-def current_hint(names: Iterable[str]) -> str:
+def _current_hint(names: Iterable[str]) -> str:
     """Return a message that currents alone are no torque, with the entry that is needed."""
-    listed = ", ".join(names)
     return (
-        f"the file has motor currents ({listed}); set unit = 'A' and a torque constant [N m/A] of"
-        " each joint in [torque] of a file of --columns"
+        f"the file has motor currents ({', '.join(names)}); set unit = 'A' and a torque constant"
+        " [N m/A] of each joint in [torque] of a file of --columns"
     )
 
 
-def _ordered(joints: Sequence[str]) -> list[str]:
-    """Joints in the file's order; numbered ones by number."""
-    if all(joint.isdigit() for joint in joints):
-        return sorted(joints, key=int)
-    return list(joints)
+def _own_layout(file: str, names: Sequence[str]) -> ColumnLayout:
+    """Return the layout of a file as this package writes it: SI units, joints numbered from 1.
 
-
-def _column(file: str, column: NamedColumn) -> LayoutColumn:
-    if column.unit is None:
-        return LayoutColumn(column.name)
-    factor = si_factor(column.unit, column.quantity)
-    if factor is None and column.quantity == "torque" and si_factor(column.unit, "current"):
-        raise RecordingError(f"{file}: no torque: {current_hint([column.name])}")
-    if factor is None:
-        raise RecordingError(
-            f"{file}: column {column.name!r}: {column.unit!r} is no unit of {column.quantity};"
-            f" expected {listed_units(column.quantity)}"
-        )
-    return LayoutColumn(column.name, factor)
-
-
-EXPECTED = (
-    "expected time, position_1..n, torque_1..n and, optionally, velocity_1..n, acceleration_1..n"
-)
-
-
-def checked_columns(file: str, names: Sequence[str]) -> ColumnLayout:
-    """The layout of a file as this package writes it: SI units, joints numbered from 1.
-
-    **Arguments**
-
-    - `file`: as it is named in messages.
-    - `names`: the columns, in any order.
-
-    **Returns**
-
-    What they are.
-
-    **Raises**
-
-    - `RecordingError`: duplicate, unknown or missing columns; nothing is guessed.
+    Duplicate, unknown and missing columns are errors; nothing is guessed.
     """
 
     def wrong(problem: str) -> RecordingError:
-        return RecordingError(f"{file}: {problem}; {EXPECTED}")
+        return RecordingError(
+            f"{file}: {problem}; expected time, position_1..n, torque_1..n and, optionally,"
+            " velocity_1..n, acceleration_1..n"
+        )
 
-    duplicates = sorted({name for name in names if names.count(name) > 1})
-    if duplicates:
-        raise wrong(f"column {_listed_columns(duplicates)} occurs more than once")
+    if duplicates := sorted({name for name in names if names.count(name) > 1}):
+        raise wrong(f"column {listed(duplicates, 4)} occurs more than once")
     numbers: dict[str, set[int]] = {quantity: set() for quantity in QUANTITIES}
     unknown: list[str] = []
     for name in names:
-        parts = re.fullmatch(r"(position|torque|velocity|acceleration)_([1-9][0-9]*)", name)
+        parts = re.fullmatch(rf"({'|'.join(QUANTITIES)})_([1-9][0-9]*)", name)
         if parts is not None:
             numbers[parts[1]].add(int(parts[2]))
         elif name != "time":
             unknown.append(name)
     if unknown:
-        raise wrong(f"unknown column {_listed_columns(unknown)}")
+        raise wrong(f"unknown column {listed(unknown, 4)}")
     if "time" not in names:
         raise wrong("missing column time")
     for quantity in REQUIRED:
         if not numbers[quantity]:
             raise wrong(f"missing column {quantity}_1 (no {quantity} columns at all)")
     for quantity, present in numbers.items():
-        gaps = [f"{quantity}_{number}" for number in range(1, max(present, default=0))]
-        gaps = [name for name in gaps if name not in names]
-        if gaps:
-            raise wrong(f"missing column {_listed_columns(gaps)} before {quantity}_{max(present)}")
+        highest = max(present, default=0)
+        if gaps := [n for n in column_names(quantity, highest) if n not in names]:
+            raise wrong(f"missing column {listed(gaps, 4)} before {quantity}_{highest}")
     joints = len(numbers["position"])
     for quantity, present in numbers.items():
         if present and len(present) != joints:
@@ -240,107 +242,9 @@ def checked_columns(file: str, names: Sequence[str]) -> ColumnLayout:
                 f"{joints} position columns but {len(present)} {quantity} columns "
                 "(as many of each are needed)"
             )
-    return ColumnLayout(
-        LayoutColumn("time"),
-        {
-            quantity: tuple(LayoutColumn(name) for name in column_names(quantity, joints))
-            for quantity, present in numbers.items()
-            if present
-        },
-        relative=False,
-        torque_measured=False,
-    )
-
-
-def _listed_columns(names: Sequence[str]) -> str:
-    shown = ", ".join(repr(name) if not name.isidentifier() else name for name in names[:4])
-    return shown if len(names) <= 4 else f"{shown} and {len(names) - 4} more"
-
-
-_TORQUES = ("actual_current_as_torque", "target_moment")
-
-
-def is_rtde(header: Header) -> bool:
-    """Return whether columns are those of a Universal Robots controller."""
-    return {"timestamp", "actual_q_0"} <= set(header.names)
-
-
-def rtde_layout(header: Header) -> ColumnLayout:
-    """The layout of a log of Universal Robots' real-time data exchange (RTDE).
-
-    As `record.py` of the RTDE client library and `RTDEReceive` write it: columns `timestamp` [s],
-    `actual_q_0` to `actual_q_5` [rad], `actual_qd_0` and on [rad/s]; cells are separated by spaces
-    or commas. Torques are `actual_current_as_torque_0` and on [N m], or else `target_moment_0`
-    and on [N m], with a note: the controller computes them from its model. `actual_current_0`
-    and on [A] need torque constants, see `ColumnMapping`.
-    """
-    quantities: dict[str, tuple[LayoutColumn, ...]] = {}
-    for quantity, stems in (
-        ("position", ("actual_q",)),
-        ("torque", _TORQUES),
-        ("velocity", ("actual_qd",)),
-    ):
-        for stem in stems:
-            columns = _numbered(header, stem)
-            if columns and quantity not in quantities:
-                quantities[quantity] = columns
-    notes, hint = header.notes, "the log has none of actual_current_as_torque_0, target_moment_0"
-    if any(column.name == "target_moment_0" for column in quantities.get("torque", ())):
-        notes = (
-            *notes,
-            "torques are target_moment, which the controller computes from its own model; log"
-            " actual_current_as_torque, or actual_current with torque constants (--columns)",
-        )
-    elif currents := _numbered(header, "actual_current"):
-        hint = current_hint(column.name for column in currents)
-    return ColumnLayout(LayoutColumn("timestamp"), quantities, notes=notes, hint=hint)
-
-
-def _numbered(header: Header, stem: str) -> tuple[LayoutColumn, ...]:
-    """The columns `stem_0`, `stem_1` and on that a header has."""
-    pattern = re.compile(rf"{stem}_([0-9]+)")
-    numbers = sorted(int(p[1]) for name in header.names if (p := pattern.fullmatch(name)))
-    return tuple(LayoutColumn(f"{stem}_{number}") for number in numbers)
-
-
-def layout_of(
-    file: str,
-    header: Header,
-    joints: int | Sequence[str] | None = None,
-    mapping: ColumnMapping | None = None,
-) -> ColumnLayout:
-    """Choose what a file's columns mean, by their names.
-
-    Logs of Universal Robots and libfranka, columns that say joint and unit, or this package's
-    own; a mapping says what is different.
-
-    **Arguments**
-
-    - `file`: as it is named in messages.
-    - `header`: of the file.
-    - `joints`: of the robot: names, which decide on the order, or how many.
-    - `mapping`: of column names and units.
-
-    **Raises** `RecordingError`: one line that says what is missing or unknown.
-    """
-    if mapping is None:
-        return _by_format(file, header).checked(file).of_joints(file, joints)
-    try:
-        base = _by_format(file, header)
-    except RecordingError as error:  # not a format of ours: the mapping has to say everything
-        base = None
-        header = dataclasses.replace(header, hint=str(error).removeprefix(f"{file}: "))
-    layout = mapping.layout(file, header, base, joints).checked(file)
-    if mapping.joints is not None and not isinstance(joints, int | None) and is_numbered(joints):
-        return layout.of_joints(file, len(joints))  # the mapping says their order
-    return layout.of_joints(file, joints)
-
-
-def _by_format(file: str, header: Header) -> ColumnLayout:
-    if is_rtde(header):
-        return rtde_layout(header)
-    if is_libfranka(header):
-        return libfranka_layout(header)
-    if is_named_header(header):
-        return named_layout(file, header)
-    return checked_columns(file, header.names)
+    quantities = {
+        quantity: tuple(map(LayoutColumn, column_names(quantity, joints)))
+        for quantity, present in numbers.items()
+        if present
+    }
+    return ColumnLayout(LayoutColumn("time"), quantities, relative=False, torque_measured=False)

@@ -1,6 +1,7 @@
 """Entry of the readers: load, save and iterate over recordings of any supported type."""
 
 import dataclasses
+import itertools
 import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,8 +15,11 @@ from jaxcslc._scratch import unfinished
 
 from .._recording import MINIMUM_SAMPLES, Recording, RecordingError, as_columns
 from ._column_mapping import ColumnMapping
-from ._layout import ColumnLayout, Header, is_numbered
-from ._layouts import layout_of
+from ._layout import QUANTITIES, ColumnLayout, Header, LayoutColumn, beginning, is_numbered
+from ._layouts import layout_by_format
+
+
+Table = dict[str, Float[np.ndarray, " rows"]]
 
 
 # Names of joints that a CSV header can hold, and that are read back as such.
@@ -101,16 +105,7 @@ def load_recording(
     """
     path = Path(path)
     layout, pieces = _opened(path, joints, columns)
-    tables = list(pieces)
-    keys = ["time", *(name for name in layout.names if name != layout.time)]
-    table = {
-        name: np.concatenate([piece[name] for piece in tables] or [np.empty(0)]) for name in keys
-    }
-    samples = table["time"].size
-    if samples < MINIMUM_SAMPLES:
-        raise RecordingError(
-            f"{path}: {samples or 'no'} rows of samples; expected at least {MINIMUM_SAMPLES}"
-        )
+    table = _whole(path, pieces)
     return Recording(
         table["time"],
         **layout.split(table),  # pyright: ignore[reportArgumentType]
@@ -125,17 +120,12 @@ def load_recording(
 def _motion_of(
     path: Path, columns: ColumnMapping | str | os.PathLike[str] | None, names: Sequence[str]
 ) -> list[tuple[str, float]]:
-    """Return the range of motion of joints, by name, for joints that the file has.
-
-    Data that cannot be read are left out.
-    """
-    lowest: dict[str, float] = {}
-    highest: dict[str, float] = {}
-    for piece in _positions_of(path, columns, names):
-        for name, position in piece.items():
-            lowest[name] = min(float(np.min(position)), lowest.get(name, np.inf))
-            highest[name] = max(float(np.max(position)), highest.get(name, -np.inf))
-    return [(name, highest[name] - lowest[name]) for name in lowest]
+    """Return how far those of the joints move that the file has."""
+    pieces = list(_positions_of(path, columns, names))
+    return [
+        (name, float(np.ptp(np.concatenate([piece[name] for piece in pieces]))))
+        for name in (pieces[0] if pieces else ())
+    ]
 
 
 def _following_error(
@@ -143,10 +133,7 @@ def _following_error(
     columns: ColumnMapping | str | os.PathLike[str] | None,
     following: Sequence[tuple[str, str, float, float]],
 ) -> list[tuple[str, float]]:
-    """Return the largest deviation of joints from the laws by which they follow others.
-
-    Joints that the file lacks are left out.
-    """
+    """Return how far those joints are off their laws that the file has, with their leaders."""
     names = dict.fromkeys(name for law in following for name in law[:2])
     largest: dict[str, float] = {}
     for piece in _positions_of(path, columns, list(names)):
@@ -159,8 +146,8 @@ def _following_error(
 
 def _positions_of(
     path: Path, columns: ColumnMapping | str | os.PathLike[str] | None, names: Sequence[str]
-) -> Iterator[dict[str, Float[np.ndarray, " rows"]]]:
-    """Positions of those joints that a file has, piece by piece, up to what cannot be read.
+) -> Iterator[Table]:
+    """Yield positions of those joints that a file has, piece by piece, up to what cannot be read.
 
     The file is read again, for what is wrong with columns that nobody needs must not keep those
     that are needed from being read.
@@ -172,7 +159,7 @@ def _positions_of(
         recorded = [name for name in names if name in (layout.joint_names or ())]
         if not recorded:
             return
-        positions = layout.of_joints(str(path), recorded).quantities["position"]
+        positions = layout.for_joints(str(path), recorded).quantities["position"]
         for piece in pieces:
             values = (piece[column.name] for column in positions)
             yield dict(zip(recorded, values, strict=True))
@@ -263,34 +250,86 @@ def iterate_recording(
     layout, pieces = _opened(path, joints, columns)
 
     def chunks() -> Iterator[RecordingChunk]:
-        waiting: list[dict[str, Float[np.ndarray, " rows"]]] = []
+        waiting: list[Table] = []
         rows = first = 0
-
-        def put_together() -> dict[str, Float[np.ndarray, " rows"]]:
-            return {name: np.concatenate([part[name] for part in waiting]) for name in waiting[0]}
-
-        def chunk(table: dict[str, Float[np.ndarray, " rows"]]) -> RecordingChunk:
-            return RecordingChunk(first=first, time=table["time"], **layout.split(table))  # pyright: ignore[reportArgumentType]
-
-        for piece in pieces:
-            waiting.append(piece)
-            rows += piece["time"].size
-            if rows < chunk_rows:
+        for piece in itertools.chain(pieces, [None]):
+            if piece is not None:
+                waiting.append(piece)
+                rows += piece["time"].size
+            if not rows or (piece is not None and rows < chunk_rows):
                 continue
-            table = put_together()
+            table = _joined(waiting)
             start = 0
-            while rows - start >= chunk_rows:
-                yield chunk({name: v[start : start + chunk_rows] for name, v in table.items()})
-                start += chunk_rows
-                first += chunk_rows
+            while rows - start >= (chunk_rows if piece is not None else 1):
+                part = {name: v[start : start + chunk_rows] for name, v in table.items()}
+                yield RecordingChunk(first, part["time"], **layout.split(part))  # pyright: ignore[reportArgumentType]
+                start += part["time"].size
+                first += part["time"].size
             waiting = [{name: values[start:].copy() for name, values in table.items()}]
             rows -= start
-        if rows:
-            yield chunk(put_together())
-        elif first == 0:
+        if first == 0:
             raise RecordingError(f"{path}: no rows of samples; expected at least 1")
 
     return chunks()
+
+
+def load_columns(
+    path: str | os.PathLike[str], names: Sequence[str] | None = None
+) -> dict[str, Float[np.ndarray, " samples"]]:
+    """Read columns of any names from a file of samples.
+
+    **Arguments**
+
+    - `path`: of a `.csv`, `.parquet` or `.npz` file with a column `time` [s].
+    - `names`: of the columns to read beside it, which may be in any order among others; all if
+      omitted.
+
+    **Returns**
+
+    The columns by name, `time` first.
+
+    **Raises**
+
+    - `RecordingError`: as `load_recording`; in place of its columns, one that is missing.
+
+    >>> import pathlib, tempfile
+    >>> from jaxcslc.recordings import load_columns
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "tank.csv"
+    ...     rows = "".join(f"{i},{2 * i},a\\n" for i in range(6))
+    ...     _ = path.write_text("time,level,note\\n" + rows)
+    ...     load_columns(path, ["level"])["level"].tolist()
+    [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
+    """
+    from ._tables import open_table
+
+    def layout_of(file: str, header: Header) -> ColumnLayout:
+        have = header.names
+        wanted = dict.fromkeys(["time", *(have if names is None else names)])
+        for name in wanted:
+            if have.count(name) != 1:
+                problem = "missing column" if name not in have else "more than one column"
+                raise RecordingError(f"{file}: {problem} {name!r}; the file has {beginning(have)}")
+        others = tuple(LayoutColumn(name) for name in wanted if name != "time")
+        return ColumnLayout(LayoutColumn("time"), {"columns": others}, relative=False)
+
+    _, pieces = open_table(Path(path), layout_of)
+    return _whole(Path(path), pieces)
+
+
+def _whole(path: Path, pieces: Iterator[Table]) -> Table:
+    """Put pieces of a file together, which must have enough rows for a recording."""
+    tables = list(pieces)
+    samples = sum(table["time"].size for table in tables)
+    if samples < MINIMUM_SAMPLES:
+        raise RecordingError(
+            f"{path}: {samples or 'no'} rows of samples; expected at least {MINIMUM_SAMPLES}"
+        )
+    return _joined(tables)
+
+
+def _joined(tables: Sequence[dict[str, np.ndarray]]) -> Table:
+    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
 def save_recording(
@@ -343,17 +382,19 @@ def _opened(
     joints: int | Sequence[str] | None,
     columns: ColumnMapping | str | os.PathLike[str] | None,
 ) -> tuple[ColumnLayout, Iterator[dict[str, Float[np.ndarray, " rows"]]]]:
-    """A file's layout, and its rows piece by piece."""
+    """Open a file: its layout, and its rows piece by piece."""
     from ._tables import open_table  # loads Arrow, which others need not wait for
 
     mapping = _mapping_of(columns)
 
-    def check(file: str, header: Header) -> ColumnLayout:
-        return layout_of(file, header, joints, mapping)
+    def layout_of(file: str, header: Header) -> ColumnLayout:
+        if mapping is not None:
+            return mapping.layout(file, header, joints)
+        return layout_by_format(file, header).checked(file).for_joints(file, joints)
 
     return open_table(
         path,
-        check,
+        layout_of,
         delimiter=None if mapping is None else mapping.delimiter,
         topic=None if mapping is None else mapping.topic,
         joints=_file_joints(mapping, joints),
@@ -371,26 +412,15 @@ def _mapping_of(
 def _file_joints(
     mapping: ColumnMapping | None, joints: int | Sequence[str] | None
 ) -> Sequence[str] | None:
-    """The joints that a recording is to have, as it calls them."""
+    """Return the joints that a recording must have, as it calls them; None if they are numbered."""
     if mapping is not None and (mapping.file_joints or mapping.joints):
         return mapping.file_joints or mapping.joints
-    return _names_of(joints)
+    return None if isinstance(joints, int | None) or is_numbered(joints) else joints
 
 
-def _names_of(joints: int | Sequence[str] | None) -> Sequence[str] | None:
-    """Names of joints that a recording can have: not those of joints that are only numbered."""
-    if joints is None or isinstance(joints, int) or is_numbered(joints):
-        return None
-    return joints
-
-
-def _columns_of(part: Recording | RecordingChunk) -> dict[str, Float[np.ndarray, " rows"]]:
+def _columns_of(part: Recording | RecordingChunk) -> Table:
     names = part.joint_names if isinstance(part, Recording) else None
-    return as_columns(
-        part.time,
-        names if names is not None and all(map(_COLUMN_NAME.fullmatch, names)) else None,
-        position=part.position,
-        torque=part.torque,
-        velocity=part.velocity,
-        acceleration=part.acceleration,
-    )
+    if names is not None and not all(map(_COLUMN_NAME.fullmatch, names)):
+        names = None
+    quantities = {quantity: getattr(part, quantity) for quantity in QUANTITIES}
+    return as_columns(part.time, names, **quantities)

@@ -26,7 +26,6 @@ from jaxtyping import Bool, Float
 import jaxcslc as jc
 import sim
 from jaxcslc._text_table import text_table
-from jaxcslc.recordings import as_recorded
 from jaxcslc.report import all_or_nothing, write_csv
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
@@ -97,11 +96,11 @@ def noisy_torques(machine: sim.Machine, seeds: Sequence[int]) -> Numbered:
     deviation = NOISE_TO_TORQUE * np.sqrt(np.mean(truth.torque**2, axis=0))
     for seed in seeds:
         noise = deviation * np.random.default_rng(seed).normal(size=truth.torque.shape)
-        recording = jc.Recording(
-            truth.time, truth.position, truth.torque + noise, truth.velocity, truth.acceleration
-        )
+        recording = jc.Recording(truth.time, truth.position, truth.torque + noise)
         threshold = SETTINGS.preparation.threshold_fraction
-        yield seed, as_recorded(recording, threshold_fraction=threshold)
+        exact = jc.Preparation(threshold_fraction=threshold, trim=0)
+        motion = truth.position, truth.velocity, truth.acceleration
+        yield seed, exact.patterns(recording, motion)
 
 
 def quantised_positions(machine: sim.Machine, seeds: Sequence[int]) -> Numbered:

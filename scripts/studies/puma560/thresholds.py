@@ -7,15 +7,10 @@ from jaxtyping import Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.recordings import (
-    DEFAULT_THRESHOLD_FRACTION,
-    FrictionThresholds,
-    friction_thresholds,
-    thresholds_from_residuals,
-)
+from jaxcslc.recordings import DEFAULT_THRESHOLD_FRACTION, friction_thresholds
 from scripts.studies.puma560.machines import IdentifiedMachine
 from scripts.studies.sensitivity import output_sensitivity
-from scripts.studies.thresholds import Refinement
+from scripts.studies.thresholds import FrictionThresholds, Refinement, thresholds_from_residuals
 
 
 Rows = list[dict[str, Any]]

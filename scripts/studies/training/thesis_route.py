@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import jaxcslc as jc
-from jaxcslc.recordings import FrictionThresholds, friction_thresholds, thresholds_from_residuals
+from jaxcslc.recordings import friction_thresholds
 from jaxcslc.report import predicted_torque
 from jaxcslc.training import (
     PERAL,
@@ -27,6 +27,7 @@ from jaxcslc.training import (
     subnetwork_masks,
     train,
 )
+from scripts.studies.thresholds import FrictionThresholds, thresholds_from_residuals
 
 
 # Thresholds to begin with, as part of each joint's greatest speed (7.5).

@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 import sim
-from jaxcslc.recordings import as_recorded
 from scripts.studies.sensitivity import output_sensitivity
 
 
@@ -82,12 +81,10 @@ def test_simulated_training_trajectory_has_appendix_b_s(
     of 1.5 in nine of ten, where a sum over the joints would be six times as much.
     """
     recording, truth = sim.simulate(sim.puma560(), sim.training(), seed=1)
-    motion = jc.Recording(
-        recording.time, truth.position, truth.torque, truth.velocity, truth.acceleration
-    )
-    simulated = np.asarray(output_sensitivity(puma, as_recorded(motion, threshold_fraction=0.01)))[
-        :37
-    ]
+    motion = truth.position, truth.velocity, truth.acceleration
+    true = jc.Recording(recording.time, truth.position, truth.torque)
+    patterns = jc.Preparation(threshold_fraction=0.01, trim=0).patterns(true, motion)
+    simulated = np.asarray(output_sensitivity(puma, patterns))[:37]
     real = np.exp(np.mean(np.log(appendix_b_sensitivities), axis=0))
     factor = np.exp(np.abs(np.log(simulated / real)))
     assert np.max(factor) < 2.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxcslc.recordings import thresholds_from_residuals
+from scripts.studies.thresholds import thresholds_from_residuals
 
 
 GAMMAS = np.array([0.03, 0.06, 0.1])

@@ -1,0 +1,197 @@
+"""Findings about recordings: evidence, and one table of likely causes and remedies.
+
+Functions of `_sample_findings` and `_motion_findings` look for evidence, and name a row of the
+table.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """Fault that a recording seems to have.
+
+    **Attributes**
+
+    - `kind`: what it is about, such as `"time unit"`, `"sign"` or `"torque lag"`.
+    - `joint`: name of the joint, or of several; empty where it is about all of them.
+    - `evidence`: a sentence with numbers.
+    - `cause`: the likeliest one.
+    - `remedy`: what to do about it, with the option of the command if there is one.
+    - `recording`: name of the recording; empty where there is one.
+
+    >>> from jaxcslc.checks import Finding
+    >>> print(Finding("gap", "", "no sample for 3 s from 8.2 s on", "lost rows", "record again"))
+    gap: no sample for 3 s from 8.2 s on. Likely cause: lost rows. Remedy: record again
+    """
+
+    kind: str
+    joint: str
+    evidence: str
+    cause: str
+    remedy: str
+    recording: str = ""
+
+    def __str__(self) -> str:
+        where = ", ".join(part for part in (self.recording, self.kind, self.joint) if part)
+        return f"{where}: {self.evidence}. Likely cause: {self.cause}. Remedy: {self.remedy}"
+
+
+AGREEMENT_KINDS = ("payload", "friction", "disagreement")
+"""Kinds of findings that say that a recording is not of the same arm as the first."""
+
+SPOILING_KINDS = (
+    *("time unit", "angle unit", "torque unit", "sign", "swapped joints", "wrong robot"),
+)
+"""With one of these, no model explains the torque, and everything computed says so again."""
+
+_CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        # Times.
+        "time unit": (
+            "time is in {unit}{counter}",
+            '[time] unit = "{symbol}" in the mapping of --columns',
+        ),
+        "rate: changes": (
+            "the recorder changed its rate, or two recordings were joined",
+            "cut it where the rate changes, with --between START,END",
+        ),
+        "rate: repeats": (
+            "the source of {quantity} values is slower than the recorder",
+            "--every {every} keeps the rows with new values",
+        ),
+        "rate: others": (
+            "the recorder ran at another rate",
+            "identify each by itself, or thin {faster} with --every {every}",
+        ),
+        "gap: long": (
+            "the recorder stopped or rows were deleted",
+            "--between {start:.4g},{end:.4g} takes the longer part alone",
+        ),
+        "gap: rows": (
+            "rows were lost",
+            "--period {period:.6g} puts the rows on an even clock, or record again",
+        ),
+        "jitter": (
+            "rows were stamped when they arrived, not when they were measured",
+            "--period {period:.6g} restores the times of an even clock",
+        ),
+        # Samples.
+        "stale rows": (
+            "the recorder polls faster than its source delivers, or messages were late",
+            "--drop-stale leaves them out",
+        ),
+        "fixed joint": (
+            "--fix, --tip or --base leave out a joint that the motion needs",
+            "leave it free, or record the others with this joint at rest",
+        ),
+        "mimic joint": (
+            "the file's multiplier or offset is not the arm's, or the joints have play",
+            "compare <mimic> (or the equality) in the robot's file with the arm, or fix both"
+            " joints and record with them at rest",
+        ),
+        "motionless joint": (
+            "locked joints, a gripper that stood still, or columns of something else",
+            "move them, or expect their own coefficients to be undetermined",
+        ),
+        "motionless joint: fixable": (
+            "locked joints, a gripper that stood still, or columns of something else",
+            "--fix {listed} if the joints are not to be identified; else move them",
+        ),
+        "constant torque": ("its torque was not recorded", "record the torque of every joint"),
+        "clipping": (
+            "the drive or the recorder limits the torque there: the motion had another one",
+            "record a slower motion; --loss bisquare disregards what does not fit",
+        ),
+        "outliers: position": (
+            "faults of transmission or of the sensor",
+            "--despike replaces them by the median of their neighbours",
+        ),
+        "outliers: torque": (
+            "faults of transmission or of the sensor",
+            "--loss huber bounds what they do to the fit",
+        ),
+        # Columns.
+        "sign": (
+            "the {what} of {joint} counts the other way round than the robot file has it",
+            "{entries} in the mapping of --columns",
+        ),
+        "swapped joints": (
+            "the {what} of {pair} are swapped",
+            "joints = {order} in the mapping of --columns",
+        ),
+        "swapped joints: of one quantity": (
+            "the {what}s of {pair} are swapped",
+            "[{what}] columns in the robot's order, in the mapping of --columns",
+        ),
+        "angle unit": (
+            "positions are in degrees",
+            '[position] unit = "deg" in the mapping of --columns',
+        ),
+        "angle unit: of one joint": (
+            "the position of {joint} is in degrees",
+            "name its column with its unit, as in q_{joint} [deg]",
+        ),
+        "torque unit: scale": (
+            "torques are in mN m",
+            '[torque] unit = "mN m" in the mapping of --columns',
+        ),
+        "torque unit: currents": (
+            "the columns of torques are motor currents, or torques before the gears",
+            '[torque] unit = "A", constant = [...], gear = [...] in the mapping of --columns',
+        ),
+        "torque lag": (
+            "a filter or a delay between the two measurements",
+            "--torque-lag {lag:.4g}",
+        ),
+        # Motion and robot.
+        "motion": (
+            "the recording is too short or hardly moves",
+            "record a longer motion of all joints",
+        ),
+        "tame motion": (
+            "the motion is too short or too uniform for so many coefficients",
+            "record a longer motion of all joints at several speeds; --folds 3 lets short"
+            " recordings choose settings",
+        ),
+        "limits": (
+            "another robot, another zero position, or another unit",
+            "compare the robot's file with the arm, and units and zero positions with the recorder",
+        ),
+        "wrong robot": (
+            "the recording is of another robot, tool or mounting than the file's, or the model"
+            " lacks a term",
+            "compare the robot's file, its base, tip and gravity with the arm",
+        ),
+        # Other recordings.
+        "payload": (
+            "the arm carried another payload or tool",
+            "identify {first} first, and the payload with jaxcslc payload",
+        ),
+        "friction": (
+            "another temperature or state of the gears, or torques that the motors did not deliver",
+            "--reidentify {groups} with the identification of {first}",
+        ),
+        "disagreement": (
+            "another robot, another base, or joints and units in another order",
+            "check it by itself, and identify it by itself",
+        ),
+    }
+)
+
+
+def finding(
+    row: str, evidence: str, joint: str = "", /, *, recording: str = "", **values: Any
+) -> Finding:
+    """Return a finding whose cause and remedy are a row of the table.
+
+    What stands before a colon is its kind; `values` are what cause and remedy name.
+
+    >>> finding("clipping", "5 % of its torques are exactly 20", "elbow").kind
+    'clipping'
+    """
+    cause, remedy = (text.format(**values) for text in _CAUSES[row])
+    return Finding(row.partition(":")[0], joint, evidence, cause, remedy, recording)
