@@ -95,7 +95,7 @@ class PayloadCompensation(AbstractController):
                 f" estimator's {estimator.k.shape[0]}; expected the same network"
             )
         k = jnp.concatenate([arm_k, jnp.zeros(10)])
-        controller = controller.with_network(estimator.network, k)
+        controller = controller.with_coefficients(k, estimator.network)
         self.controller, self.estimator = controller, estimator
         self.filter = OutputFeedback(controller).filter if filter is None else filter
         self.time_constant, self.compensation_gain = time_constant, compensation_gain
