@@ -146,6 +146,8 @@ FAULTS = ("none", "lost samples", "stuck encoder", "reversed torque")
 
 _NONE, _LOST, _STUCK, _REVERSED = range(4)
 # Defaults of `scripts/studies/faults/study.py`, which counts false alarms and detection times.
+_FILTER = LowPassChain(30.0, lags=3)  # of readings and torques; its delay delays detection
+_DETECTION_TIME = 0.02  # for which a stuck encoder is observed before it is a fault [s]
 _EVIDENCE_TIME = 0.02  # time constant of the evidence of a reversed torque [s]
 _VISIBLE_MOTION = 1e-3  # that a working encoder shows: some ticks of the coarsest [rad or m]
 _SLOW = 0.02  # below, friction at rest may have any sign [rad/s or m/s]
@@ -201,7 +203,7 @@ class FaultMonitor(AbstractController):
     - **lost samples**: readings that are NaN. A few in a row are extrapolated with the latest
       velocity; more than `allowed` are a fault.
     - **stuck encoder**: a reading does not change while |τ − N| exceeds `breakaway`, the most that
-      friction can hold, for `detection_time`. A joint that is blocked by an obstacle looks the
+      friction can hold, for 0.02 s. A joint that is blocked by an obstacle looks the
       same. At rest, below breakaway, a stuck encoder cannot be detected yet.
     - **reversed torque**: N and τ have opposite signs. The evidence −4 N τ / friction² (the
       difference of the squared errors of the two hypotheses on the sign, less a margin for small
@@ -220,8 +222,6 @@ class FaultMonitor(AbstractController):
     - `network`, `k`: (p,) the dynamics.
     - `breakaway`: (n,) torque at which a joint at rest certainly moves [N m or N].
     - `torque_limit`: (n,) [N m or N].
-    - `filter`: of readings and torques; its delay is part of the detection time.
-    - `detection_time`: how long a stuck encoder is observed before it is a fault [s].
     - `stop_time`: within which the arm is brought to rest [s].
     - `allowed`: consecutive lost samples that are extrapolated.
 
@@ -246,8 +246,6 @@ class FaultMonitor(AbstractController):
     k: Float[Array, " coefficients"]
     breakaway: Float[Array, " joints"]
     torque_limit: Float[Array, " joints"]
-    filter: LowPassChain
-    detection_time: float
     stop_time: float
     allowed: int = eqx.field(static=True)
 
@@ -259,16 +257,13 @@ class FaultMonitor(AbstractController):
         *,
         torque_limit: PerJoint,
         breakaway: PerJoint | None = None,
-        filter: LowPassChain | None = None,
-        detection_time: float = 0.02,
         stop_time: float = 0.3,
         allowed: int = 5,
     ) -> None:
         """A monitored controller.
 
         **Arguments** are the attributes. If omitted, `breakaway` is `_STICTION` (1.6) times the
-        friction of a very slow joint plus 2 % of the torque limit, and the filter has three lags of
-        30 Hz.
+        friction of a very slow joint plus 2 % of the torque limit.
 
         **Raises**
 
@@ -289,15 +284,11 @@ class FaultMonitor(AbstractController):
                     f"breakaway of joint {joint + 1} is {values[joint]}; expected a finite torque"
                     " above 0"
                 )
-        self.filter = LowPassChain(30.0, lags=3) if filter is None else filter
-        if self.filter.lags < 3:
-            raise ValueError(f"filter has {self.filter.lags} lags; accelerations need 3 or more")
-        for name, time in (("detection_time", detection_time), ("stop_time", stop_time)):
-            if not time > 0:
-                raise ValueError(f"{name} is {time} s; expected more than 0")
+        if not stop_time > 0:
+            raise ValueError(f"stop_time is {stop_time} s; expected more than 0")
         if allowed < 0:
             raise ValueError(f"allowed is {allowed}; expected 0 or more samples")
-        self.detection_time, self.stop_time, self.allowed = detection_time, stop_time, allowed
+        self.stop_time, self.allowed = stop_time, allowed
 
     def begin(self, q: Joints) -> FaultMonitorState:
         """The state before the first sample, without faults."""
@@ -312,8 +303,8 @@ class FaultMonitor(AbstractController):
             stop_velocity=zeros,
             position=q,
             torque=zeros,
-            motion=self.filter.begin(q),
-            effort=self.filter.begin(zeros),
+            motion=_FILTER.begin(q),
+            effort=_FILTER.begin(zeros),
             lost=count,
             equal=count,
             blocked=zeros,
@@ -338,7 +329,7 @@ class FaultMonitor(AbstractController):
         blind = (state.fault == _LOST) | (state.fault == _STUCK)
         begins = jnp.any(faulty) & (state.stopping < 0)
         # A joint without a valid reading is assumed to follow its reference.
-        rate = self.filter.read(state.motion).rate
+        rate = _FILTER.read(state.motion).rate
         position = jnp.where(blind, reference.q, state.position)
         velocity = jnp.where(blind, reference.qd, rate)
         state = state._replace(
@@ -369,21 +360,19 @@ class FaultMonitor(AbstractController):
     ) -> FaultMonitorState:
         """Return the state after a sample's readings, with newly detected faults."""
         missing: Bool[Array, " joints"] = jnp.isnan(q)
-        rate = self.filter.read(state.motion).rate
+        rate = _FILTER.read(state.motion).rate
         reading = jnp.where(missing, state.position + rate * interval, q)
-        motion = self.filter.step(state.motion, state.position, reading, interval)
-        effort = self.filter.step(
-            state.effort, state.torque, state.torque, interval, hold="constant"
-        )
+        motion = _FILTER.step(state.motion, state.position, reading, interval)
+        effort = _FILTER.step(state.effort, state.torque, state.torque, interval, hold="constant")
         # Before the first sample the drives held the arm.
         first = state.time == 0
         zeros = jnp.zeros_like(reading)
-        effort = jnp.where(first, self.filter.begin(self._required(reading, zeros, zeros)), effort)
+        effort = jnp.where(first, _FILTER.begin(self._required(reading, zeros, zeros)), effort)
 
         lost = jnp.where(missing, state.lost + 1, 0)
         equal = jnp.where(~missing & (q == state.position), state.equal + 1, 0)
-        required = self._required(*self.filter.read(motion))
-        command = self.filter.read(effort).value
+        required = self._required(*_FILTER.read(motion))
+        command = _FILTER.read(effort).value
         pushed = (equal >= _EQUAL_READINGS) & (jnp.abs(command - required) > self.breakaway)
         blocked = jnp.where(pushed, state.blocked + interval, 0.0)
         # Errors as large as friction are no evidence.
@@ -399,7 +388,7 @@ class FaultMonitor(AbstractController):
             lost > self.allowed,
             _LOST,
             jnp.where(
-                blocked > self.detection_time,
+                blocked > _DETECTION_TIME,
                 _STUCK,
                 jnp.where(evidence > 1.0, _REVERSED, _NONE),
             ),
