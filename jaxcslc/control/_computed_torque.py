@@ -91,7 +91,7 @@ class ComputedTorque(AbstractController):
         friction_width: PerJoint = 0.0,
         pose: Joints | None = None,
     ) -> None:
-        """A controller of one robot; one number stands for all joints.
+        """Make a controller of one robot; one number stands for all joints.
 
         **Arguments**
 

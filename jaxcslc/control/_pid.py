@@ -183,7 +183,7 @@ class PID(AbstractController):
         cutoff: float = 20.0,
         integration: str = "forward",
     ) -> None:
-        """A controller of `joints` joints; gains and limits are one number, or one for each joint.
+        """Make a controller of `joints` joints; gains and limits are one number, or one per joint.
 
         **Arguments**
 

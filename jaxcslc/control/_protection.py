@@ -83,7 +83,7 @@ class JointLimitAvoidance(AbstractController):
         torque_limit: PerJoint,
         rate: PerJoint = 8.0,
     ) -> None:
-        """A controller that respects the joints' position limits.
+        """Make a controller that respects the joints' position limits.
 
         **Arguments** are the attributes; one number stands for all joints.
 
@@ -260,7 +260,7 @@ class FaultMonitor(AbstractController):
         stop_time: float = 0.3,
         allowed: int = 5,
     ) -> None:
-        """A monitored controller.
+        """Make a monitored controller.
 
         **Arguments** are the attributes. If omitted, `breakaway` is `_STICTION` (1.6) times the
         friction of a very slow joint plus 2 % of the torque limit.
@@ -291,7 +291,7 @@ class FaultMonitor(AbstractController):
         self.stop_time, self.allowed = stop_time, allowed
 
     def begin(self, q: Joints) -> FaultMonitorState:
-        """The state before the first sample, without faults."""
+        """Return the state before the first sample, without faults."""
         q = jnp.asarray(q)
         zeros, zero, count = jnp.zeros_like(q), jnp.zeros((), q.dtype), jnp.zeros(q.shape, int)
         return FaultMonitorState(

@@ -69,7 +69,7 @@ class LowPassChain(eqx.Module):
     lags: int = eqx.field(static=True)
 
     def __init__(self, corner: float | Float[Array | np.ndarray, "..."], lags: int = 3) -> None:
-        """A filter with its corner frequency [Hz] and number of lags.
+        """Make a filter with its corner frequency [Hz] and number of lags.
 
         **Raises**
 

@@ -223,7 +223,7 @@ def _geom_name(model: Any, geom: int) -> str:
 
 
 def _candidate_pairs(model: Any, surroundings: Surroundings) -> np.ndarray:
-    """Pairs of geometries of bodies that no joint connects, and of moving ones and obstacles."""
+    """Return pairs of geometries of bodies that no joint connects, and of bodies and obstacles."""
     weld = model.body_weldid
     parent = weld[model.body_parentid]
     ignored = {frozenset(pair) for pair in surroundings.ignore}
@@ -352,7 +352,7 @@ def _spec_of_file(path: Path, urdf: bool) -> Any:
 
 
 def _resolved(match: re.Match[str], urdf: Path) -> str:
-    """A mesh's file name, packages of ROS looked for in the folders above the URDF."""
+    """Return a mesh's file name; packages of ROS are looked for in folders above the URDF."""
     name = match[3]
     relative = name.removeprefix("file://").removeprefix("package://")
     candidates = [Path(relative), urdf.parent / relative]
@@ -375,7 +375,7 @@ def _resolved(match: re.Match[str], urdf: Path) -> str:
 
 
 def _spec_of_capsules(mujoco: Any, robot: Manipulator, radius: float | tuple[float, ...]) -> Any:
-    """Links as capsules between the origins of their frames."""
+    """Make links as capsules between the origins of their frames."""
     n = robot.joint_count
     radii = np.atleast_1d(np.asarray(radius, float))
     if len(radii) not in (1, n) or not np.all(radii > 0):
@@ -407,7 +407,7 @@ def _spec_of_capsules(mujoco: Any, robot: Manipulator, radius: float | tuple[flo
 
 
 def _frame(joint: Any) -> np.ndarray:
-    """The pose of a joint's frame in its parent's at the zero position."""
+    """Return the pose of a joint's frame in its parent's at the zero position."""
 
     def screw(angle: float, length: float, axis: int) -> np.ndarray:
         pose = np.eye(4)

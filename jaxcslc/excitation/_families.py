@@ -45,7 +45,7 @@ class AbstractFamily(abc.ABC):
 
     @abc.abstractmethod
     def basis(self, time: Times, order: int = 0) -> Float[np.ndarray, "samples parameters"]:
-        """The derivative of that order of each basis function, (samples, m)."""
+        """Return the derivative of that order of each basis function, (samples, m)."""
 
     @abc.abstractmethod
     def bound(self, parameters: Parameters, order: int) -> Float[np.ndarray, " joints"]:
@@ -59,16 +59,16 @@ class AbstractFamily(abc.ABC):
     def derivative(
         self, parameters: Parameters, time: Times, order: int = 0
     ) -> Float[Array | np.ndarray, "samples joints"]:
-        """Positions, or their derivative of that order, (samples, joints)."""
+        """Return positions, or their derivative of that order, (samples, joints)."""
         return self.basis(time, order) @ parameters
 
     def motion(self, parameters: Parameters, time: Times) -> tuple[Any, Any, Any]:
-        """`q`, `qd`, `qdd`, each (samples, joints)."""
+        """Return `q`, `qd`, `qdd`, each (samples, joints)."""
         q, qd, qdd = (self.derivative(parameters, time, order) for order in range(3))
         return q, qd, qdd
 
     def scaled(self, parameters: Parameters, factor: float) -> Parameters:
-        """The parameters of the motion with all displacements from its start times a factor."""
+        """Return parameters of the motion with displacements from its start times a factor."""
         factors = np.full((self.size, 1), float(factor))
         factors[0] = 1.0
         return factors * parameters

@@ -414,9 +414,10 @@ class MotionInformation(eqx.Module):
 
 
 def error_covariance(moments: Moments, prior: Any) -> Any:
-    """(p, p) covariance of coefficients in units of their sizes, with prior information (p, p).
+    """Return the covariance of coefficients in units of their sizes, (p, p).
 
-    (H + Λ)⁻¹ (G + Λ) (H + Λ)⁻¹; for an efficient estimator (H + Λ)⁻¹.
+    With prior information Λ (p, p) it is (H + Λ)⁻¹ (G + Λ) (H + Λ)⁻¹. Of an efficient estimator,
+    that is (H + Λ)⁻¹.
     """
     total = moments.normal + prior
     # Units in which the matrix has a unit diagonal: inverses then lose the fewest digits.
@@ -485,7 +486,7 @@ class Prediction:
 
 
 def _interval(relative: float) -> str:
-    """Half of a 95 % interval."""
+    """Return half of a 95 % interval as text."""
     return f"±{196 * relative:.2g} %" if np.isfinite(relative) else "not determined"
 
 

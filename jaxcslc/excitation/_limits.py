@@ -172,7 +172,7 @@ class Limits:
             position[:, 0],
             position[:, 1],
             **values,
-            torque_margin=_margin(known.get("torque_margin", 0.1)),
+            torque_margin=float(_numbers("torque_margin", known.get("torque_margin", 0.1), 1)[0]),
             notes=tuple(notes),
             surroundings=surroundings,
         )
@@ -183,7 +183,7 @@ class Limits:
         return (self.low + self.high) / 2
 
     def symmetric(self, order: int) -> tuple[Joints, Joints]:
-        """Middle and half width of the range of a derivative of that order, (n,) each."""
+        """Return middle and half width of the range of a derivative of that order, (n,) each."""
         if order == 0:
             return self.middle, (self.high - self.low) / 2
         return np.zeros(len(self.low)), getattr(self, QUANTITIES[order])
@@ -307,9 +307,3 @@ def _pairs(value: Any, joints: int) -> Float[np.ndarray, "joints 2"]:
             f"limits, position: expected one pair of lowest and highest or {joints}, got {value!r}"
         )
     return np.broadcast_to(pairs, (joints, 2)).copy()
-
-
-def _margin(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"limits, torque_margin: expected a number, got {value!r}")
-    return float(value)

@@ -67,7 +67,7 @@ class Design:
     def sampled(
         self, rate: float | None = None
     ) -> tuple[Float[np.ndarray, " samples"], tuple[Float[np.ndarray, "samples joints"], ...]]:
-        """Sample times, and `q`, `qd`, `qdd` then; by default at the recording's rate [Hz]."""
+        """Return sample times, and `q`, `qd`, `qdd`; by default at the recording's rate [Hz]."""
         time, _ = time_grid(self.family.duration, 1.0 / (rate or self.noise.rate))
         motion = self.family.motion(np.asarray(self.parameters, float), time)
         return time, tuple(np.asarray(x) for x in motion)

@@ -271,7 +271,7 @@ class RobotExport:
             for j in range(len(units))
         ]
         table = parameters.to_pandas()
-        units_of = {"m": "kg", "motor_inertia": "kg m²"} | {f"r{axis}": "m" for axis in "xyz"}
+        units_of = {"mass": "kg"} | {f"r{axis}": "m" for axis in "xyz"}
         table.columns = [f"{name} [{units_of.get(name, 'kg m²')}]" for name in table.columns]
         states = "the recording's motion" if self.measured else "random states"
         header = ["joint", "cost of being possible", "file against parameters", "unit"]

@@ -212,7 +212,7 @@ class PayloadEstimator(eqx.Module):
         mass_tolerance: float = 0.05,
         update_every: int = 10,
     ) -> None:
-        """An estimator for one arm.
+        """Make an estimator for one arm.
 
         **Arguments**
 
@@ -499,7 +499,7 @@ class PayloadCompensation(AbstractController):
         *,
         compensation_gain: float | Float[Array, ""] = 1.0,
     ) -> None:
-        """A controller with payload compensation.
+        """Make a controller with payload compensation.
 
         **Arguments** are the attributes.
 
