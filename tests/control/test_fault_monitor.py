@@ -18,6 +18,7 @@ from jaxcslc.control import (
     OutputFeedback,
     Reference,
 )
+from tests import arms
 from tests.control.conftest import SmallArm
 
 
@@ -126,8 +127,7 @@ def test_a_cable_that_tears_slowly(guard: FaultMonitor) -> None:
 
 def test_an_arm_with_a_spring_at_rest() -> None:
     """What holds it still is gravity's torque and the spring's."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    network = jc.derive(robot.with_friction("dry", "spring"), lengths="numeric")
+    network = arms.pendulum("dry", "spring")
     rod = jc.LinkParameters(1.0, np.array([0.3, 0.0, 0.0]), 0.01 * np.eye(3), 0.1)
     k = network.coefficients_from([rod], dry=[0.5], spring=[60.0])
     guard = FaultMonitor(
