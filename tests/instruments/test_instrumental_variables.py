@@ -12,6 +12,7 @@ from jaxcslc.instruments import ControlledMotion, CorrectedMotion
 from jaxcslc.instruments._projected_equations import projected_fit, wide_rows
 from jaxcslc.instruments._simulation_fit import Simulated, both_masks, exogeneity_test
 from jaxcslc.least_squares import Equations, Unknowns
+from tests import arms
 
 
 ROUNDING = 1e-9
@@ -117,8 +118,7 @@ class TestExogeneity:
 
 @pytest.fixture(scope="module")
 def arm() -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
+    return arms.planar_arm("viscous", "dry")
 
 
 SAMPLES, INTERVAL = 1500, 0.004
