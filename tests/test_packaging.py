@@ -343,8 +343,6 @@ def test_every_dependency_is_imported_and_every_import_declared() -> None:
         # MuJoCo's package for GPUs installs into MuJoCo's folder.
         if (top, second) == ("mujoco", "mjx"):
             return {"mujoco-mjx"}
-        if top == "coal":  # installs into a folder of its own, which a .pth file adds
-            return {"coal"}
         names = {canonicalize_name(name) for name in of_module.get(top, ())}
         return {"mujoco"} if any(name.startswith("mujoco-core") for name in names) else names
 

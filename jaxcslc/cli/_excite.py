@@ -12,6 +12,8 @@ from ..excitation import (
     CRITERIA,
     FAMILIES,
     Design,
+    Effort,
+    Goal,
     Knowledge,
     Limits,
     Noise,
@@ -67,27 +69,24 @@ def excite_command(
         arm = part.read(robot)
         before = _before(arm, options, columns, lambda: drives.network(arm, lengths), step)
         before, names = _wanted(before, options.wanted, options.payload)
-        limits = options.limits
-        bounds, surroundings = (Limits.of(arm), None) if not limits else load_limits(limits, arm)
+        bounds = Limits.of(arm) if not options.limits else load_limits(options.limits, arm)
         asked = "rate" in typed_options(context)
         rate = options.rate if asked else before.rate(options.rate)
         noise = _noise(before, bounds, _stated_noise(options) | {"rate": rate})
         if reached := _reached(before, names, options.reach):
             return typer.echo(reached)
+        task = None if options.task is None else recording_of(options.task, arm, columns)
         design = design_motion(
             before.network,
             bounds,
             noise,
+            goal=Goal(options.criterion, names, task),
+            knowledge=before.knowledge,
             duration=options.duration,
             family=options.family,
-            wanted=names,
-            criterion=options.criterion,
-            knowledge=before.knowledge,
-            task=None if options.task is None else recording_of(options.task, arm, columns),
-            surroundings=surroundings,
             start=None if not options.start else np.array(_numbers("--start", options.start)),
             seed=options.seed,
-            starts=options.starts,
+            effort=Effort(options.starts),
             progress=step,
         )
         paths = save_design(design, options.output, command=command_text(context))

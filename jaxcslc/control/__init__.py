@@ -10,17 +10,15 @@ of them alike.
 Modules, in reading order:
 
 - `_controller`: base class, reference, and parts that controllers share.
-- `_pid`: PID control, gravity compensation, open-loop excitation.
-- `_computed_torque`: computed-torque control, and its use without tachometers.
-- `_filters`: a causal differentiating low pass.
-- `_joint_limit_avoidance`, `_fault_monitor`: wrappers for limits and faults.
+- `_pid`: PID control and gravity compensation.
+- `_computed_torque`: computed-torque control.
+- `_velocity_estimation`: control without tachometers.
+- `_protection`: wrappers for limits and faults.
 """
 
 from ._computed_torque import (
     COMPENSATIONS as COMPENSATIONS,
     ComputedTorque as ComputedTorque,
-    OutputFeedback as OutputFeedback,
-    OutputFeedbackState as OutputFeedbackState,
     smooth_friction as smooth_friction,
 )
 from ._controller import (
@@ -29,19 +27,23 @@ from ._controller import (
     conditional_integration as conditional_integration,
     error_gains as error_gains,
 )
-from ._fault_monitor import (
-    FAULTS as FAULTS,
-    FaultMonitor as FaultMonitor,
-    FaultMonitorState as FaultMonitorState,
-)
-from ._filters import FilteredSignal as FilteredSignal, LowPassChain as LowPassChain
-from ._joint_limit_avoidance import JointLimitAvoidance as JointLimitAvoidance
 from ._pid import (
     PID as PID,
     AbstractPositionTorque as AbstractPositionTorque,
     Gravity as Gravity,
     PIDState as PIDState,
-    SinusoidalTorque as SinusoidalTorque,
+)
+from ._protection import (
+    FAULTS as FAULTS,
+    FaultMonitor as FaultMonitor,
+    FaultMonitorState as FaultMonitorState,
+    JointLimitAvoidance as JointLimitAvoidance,
+)
+from ._velocity_estimation import (
+    FilteredSignal as FilteredSignal,
+    LowPassChain as LowPassChain,
+    OutputFeedback as OutputFeedback,
+    OutputFeedbackState as OutputFeedbackState,
 )
 
 
@@ -62,7 +64,6 @@ __all__ = [
     "OutputFeedbackState",
     "PIDState",
     "Reference",
-    "SinusoidalTorque",
     "conditional_integration",
     "error_gains",
     "smooth_friction",

@@ -1,8 +1,7 @@
-"""Computed-torque control (Eqn. 2.7-1), and velocity estimation for arms without tachometers."""
+"""Computed-torque control (Eqn. 2.7-1), whole and in part."""
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,13 +14,13 @@ from ._controller import (
     Joints,
     PerJoint,
     Reference,
+    coefficients_of,
     conditional_integration,
     error_gains,
     per_joint,
     required_velocity,
     saturated,
 )
-from ._filters import LowPassChain
 
 
 COMPENSATIONS: dict[str, tuple[str, ...]] = {
@@ -92,7 +91,7 @@ class ComputedTorque(AbstractController):
         friction_width: PerJoint = 0.0,
         pose: Joints | None = None,
     ) -> None:
-        """A controller of one robot; one number stands for all joints.
+        """Make a controller of one robot; one number stands for all joints.
 
         **Arguments**
 
@@ -116,20 +115,17 @@ class ComputedTorque(AbstractController):
         n = network.joint_count
         if isinstance(compensation, str):
             if compensation not in COMPENSATIONS:
-                raise ValueError(
-                    f"compensation is {compensation!r}; expected {_listed(COMPENSATIONS)}"
-                )
+                names = ", ".join(map(repr, COMPENSATIONS))
+                raise ValueError(f"compensation is {compensation!r}; expected {names}")
             compensation = COMPENSATIONS[compensation]
         full = COMPENSATIONS["full"]
         for term in compensation:
             if term not in full:
-                raise ValueError(f"compensation has {term!r}; expected some of {_listed(full)}")
+                names = ", ".join(map(repr, full))
+                raise ValueError(f"compensation has {term!r}; expected some of {names}")
         if friction_at not in ("measured", "reference"):
             raise ValueError(f"friction_at is {friction_at!r}; expected 'measured' or 'reference'")
-        self.network = network
-        self.k = jnp.asarray(k)
-        if self.k.shape != (network.size,):
-            raise ValueError(f"k: expected shape ({network.size},), got {self.k.shape}")
+        self.network, self.k = network, coefficients_of(network, k)
 
         def values(name: str, argument: PerJoint) -> Float[Array, " joints"]:
             return jnp.asarray(per_joint(name, argument, n, 0.0))
@@ -147,21 +143,19 @@ class ComputedTorque(AbstractController):
             at = jnp.zeros(n) if pose is None else jnp.asarray(pose)
             self.inertia = jnp.diagonal(network.mass_matrix(self.k, at))
 
-    def with_coefficients(self, k: Float[Array, " coefficients"]) -> "ComputedTorque":
+    def with_coefficients(
+        self, k: Float[Array, " coefficients"], network: CSLC | None = None
+    ) -> "ComputedTorque":
         """Return the controller with other coefficients, (p,), which may be traced.
 
-        The constant diagonal in place of M(q) does not change.
+        They are those of `network`, of as many joints, if it is given. The constant diagonal in
+        place of M(q) does not change.
         """
-        return eqx.tree_at(lambda controller: controller.k, self, k)
-
-    def with_network(self, network: CSLC, k: Float[Array, " coefficients"]) -> "ComputedTorque":
-        """Return the controller with another network of as many joints, and its coefficients."""
-        return eqx.tree_at(
-            lambda controller: (controller.network, controller.k), self, (network, k)
-        )
+        model = (self.network if network is None else network, k)
+        return eqx.tree_at(lambda controller: (controller.network, controller.k), self, model)
 
     def begin(self, q: Joints) -> Joints:
-        """The integral: zero."""
+        """Return the integral, zero."""
         return jnp.zeros_like(jnp.asarray(q))
 
     def step(
@@ -194,7 +188,7 @@ class ComputedTorque(AbstractController):
         return saturated(torque, self.torque_limit), state
 
     def _rigid(self, q: Array, qd: Array, acceleration: Array) -> Array:
-        """Every term but friction."""
+        """Return the torque of every term but friction."""
         k = self.network.without_friction(self.k)
         gravity = "gravity" in self.compensation
         velocity = qd if "velocity" in self.compensation else jnp.zeros_like(qd)
@@ -214,7 +208,7 @@ def smooth_friction(
     qd: Joints,
     width: Float[Array | np.ndarray, " joints"],
 ) -> Float[Array, "*batch joints"]:
-    """Friction F(qd) with its jump at zero velocity replaced by a straight line.
+    """Return friction F(qd) with its jump at zero velocity replaced by a straight line.
 
     Between −width and width friction is linear in the velocity, from F(−width) to F(width), for
     any friction model of the network. Where the width is zero it is F(qd).
@@ -225,14 +219,11 @@ def smooth_friction(
     - `qd`: (*batch, n) [rad/s or m/s].
     - `width`: (n,) [rad/s or m/s].
 
-    **Returns**
-
-    (*batch, n) [N m or N].
+    **Returns** (*batch, n) [N m or N].
 
     >>> import jax.numpy as jnp, jaxcslc as jc
     >>> from jaxcslc.control import smooth_friction
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(arm, lengths="numeric")
+    >>> network = jc.derive(jc.examples.turntable(), lengths="numeric")
     >>> network.names
     ('kB1', 'kv1', 'kd1')
     >>> k, width = jnp.array([1.0, 0.0, 3.0]), jnp.array([0.1])
@@ -253,73 +244,3 @@ def smooth_friction(
 
     forwards, backwards = friction_at(width), friction_at(-width)
     return share * forwards + (1.0 - share) * backwards
-
-
-def _listed(names: Sequence[str] | dict[str, tuple[str, ...]]) -> str:
-    return ", ".join(repr(name) for name in names)
-
-
-class OutputFeedbackState(NamedTuple):
-    """The memory of an `OutputFeedback` controller.
-
-    **Attributes**
-
-    - `error`: position error at the previous sample, (*batch, n) [rad or m].
-    - `filter`: state of the filter on the error, (lags, *batch, n).
-    - `controller`: state of the wrapped controller.
-    """
-
-    error: Float[Array, "*batch joints"]
-    filter: Float[Array, "lags *batch joints"]
-    controller: Any
-
-
-class OutputFeedback(AbstractController):
-    """Velocity estimation for a controller of an arm that has encoders, but no tachometers.
-
-    The rate of the *error* is filtered, not that of the position: while the arm follows its path
-    the filter then causes no delay. The controller gets qd_d minus the filtered rate of e as its
-    velocity, and the reading as its position. Where a reading is lost (NaN) the error is kept
-    from the sample before; a `FaultMonitor` ends the motion if too many are lost in a row.
-
-    **Attributes**
-
-    - `controller`: the controller that needs positions and velocities.
-    - `filter`: of the error.
-
-    >>> import jax.numpy as jnp
-    >>> from jaxcslc.control import PID, LowPassChain, OutputFeedback, Reference
-    >>> pid = PID(1, position_gain=100.0, velocity_gain=10.0)
-    >>> feedback = OutputFeedback(pid, LowPassChain(50.0, lags=2))
-    >>> q, reference = jnp.zeros(1), Reference.at_rest(jnp.array([0.1]))
-    >>> torque, state = feedback.step(feedback.begin(q), reference, q, 0.002)
-    >>> bool(torque[0] > 10.0)
-    True
-    """
-
-    controller: AbstractController
-    filter: LowPassChain = LowPassChain(50.0, lags=2)
-
-    def begin(self, q: Joints) -> OutputFeedbackState:
-        """The state before the first sample, with the joints at rest where the path begins."""
-        zero = jnp.zeros_like(jnp.asarray(q))
-        return OutputFeedbackState(zero, self.filter.begin(zero), self.controller.begin(q))
-
-    def step(
-        self,
-        state: OutputFeedbackState,
-        reference: Reference,
-        q: Joints,
-        interval: float | Array,
-        qd: Joints | None = None,
-    ) -> tuple[Joints, OutputFeedbackState]:
-        """Compute the torque command, as `AbstractController.step`, without measured velocities."""
-        del qd
-        error = jnp.asarray(reference.q - q)
-        lost = jnp.isnan(error)
-        error = jnp.where(lost, state.error, error)
-        q = jnp.where(lost, reference.q - error, q)
-        filtered = self.filter.step(state.filter, state.error, error, interval)
-        estimate = reference.qd - self.filter.read(filtered).rate
-        torque, inner = self.controller.step(state.controller, reference, q, interval, estimate)
-        return torque, OutputFeedbackState(error, filtered, inner)

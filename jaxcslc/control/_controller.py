@@ -11,6 +11,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from ..network import CSLC
+
 
 Joints = Float[Array | np.ndarray, "*batch joints"]
 
@@ -36,7 +38,7 @@ class Reference(NamedTuple):
 
     @classmethod
     def at_rest(cls, q: Joints) -> "Reference":
-        """The reference of an arm that is to stand still at `q`, (*batch, n) [rad or m]."""
+        """Make the reference of an arm that is to stand still at `q`, (*batch, n) [rad or m]."""
         return cls(q, 0 * q, 0 * q)
 
 
@@ -65,15 +67,13 @@ class AbstractController(eqx.Module):
 
     @abc.abstractmethod
     def begin(self, q: Joints) -> Any:
-        """The state before the first sample, with the joints at rest.
+        """Return the state before the first sample, with the joints at rest.
 
         **Arguments**
 
         - `q`: measured positions, (*batch, n) [rad or m].
 
-        **Returns**
-
-        The state, a pytree of arrays.
+        **Returns** the state, a pytree of arrays.
         """
 
     @abc.abstractmethod
@@ -85,7 +85,7 @@ class AbstractController(eqx.Module):
         interval: float | Array,
         qd: Joints | None = None,
     ) -> tuple[Joints, Any]:
-        """The torque command until the next sample.
+        """Compute the torque command until the next sample.
 
         **Arguments**
 
@@ -96,9 +96,7 @@ class AbstractController(eqx.Module):
         - `qd`: measured or estimated velocities, (*batch, n) [rad/s or m/s]; None for an arm
           without tachometers. `OutputFeedback` estimates them for a controller that needs them.
 
-        **Returns**
-
-        The torque, (*batch, n) [N m or N], and the state for the next step.
+        **Returns** the torque, (*batch, n) [N m or N], and the state for the next step.
 
         **Raises**
 
@@ -107,20 +105,25 @@ class AbstractController(eqx.Module):
 
 
 def required_velocity(controller: AbstractController, qd: Joints | None) -> Joints:
-    """Velocities that a controller cannot do without.
-
-    **Raises**
-
-    - `ValueError`: there are none.
-    """
+    """Return velocities that a controller needs. **Raises** `ValueError` without them."""
     if qd is None:
         name = type(controller).__name__
         raise ValueError(f"{name}: no velocities; pass qd, or wrap it in OutputFeedback")
     return qd
 
 
+def coefficients_of(
+    network: CSLC, k: Float[Array | np.ndarray, " coefficients"]
+) -> Float[Array, " coefficients"]:
+    """Return coefficients as JAX's array. **Raises** `ValueError` for another network's."""
+    k = jnp.asarray(k)
+    if k.shape != (network.size,):
+        raise ValueError(f"k: expected shape ({network.size},), got {k.shape}")
+    return k
+
+
 def namespace(*arrays: Any) -> Any:
-    """`jax.numpy` if any of the arrays is JAX's, else `numpy`."""
+    """Return `jax.numpy` if any of the arrays is JAX's, else `numpy`."""
     return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
 
 
@@ -130,7 +133,7 @@ PerJoint = float | Sequence[float] | Float[Array | np.ndarray, " joints"]
 def error_gains(
     natural_frequency: PerJoint, damping: PerJoint
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Gains that make each joint's error a linear oscillator: K_p = ω_n², K_v = 2 ζ ω_n.
+    """Return gains that make each joint's error a linear oscillator: K_p = ω_n², K_v = 2 ζ ω_n.
 
     The two formulas after Eqn. 2.7-1 (numbered 2.6-2 in print), from Leahy and Saridis (1989): a
     perfectly compensated arm then has e'' + K_v e' + K_p e = 0 at every joint.
@@ -140,9 +143,7 @@ def error_gains(
     - `natural_frequency`: ω_n [rad/s].
     - `damping`: ζ, 1 for the fastest decay without overshoot.
 
-    **Returns**
-
-    K_p [1/s²] and K_v [1/s].
+    **Returns** K_p [1/s²] and K_v [1/s].
 
     >>> from jaxcslc.control import error_gains
     >>> [float(gain) for gain in error_gains(20.0, 1.0)]
@@ -155,14 +156,10 @@ def error_gains(
 def per_joint(
     name: str, values: PerJoint, joints: int, least: float
 ) -> Float[Array | np.ndarray, " joints"]:
-    """Return one value for each joint, from one for all or a sequence.
+    """Return one value per joint, from one for all or a sequence.
 
-    JAX arrays stay JAX's; everything else becomes a float64 NumPy array. Traced values are not
-    checked.
-
-    **Raises**
-
-    - `ValueError`: a wrong number of values, or one below `least`; names argument and joint.
+    JAX arrays stay JAX's; everything else becomes a float64 NumPy array. **Raises** `ValueError`
+    for a wrong number of values, or one below `least`; traced values are not checked.
     """
     xp = namespace(values)
     numbers = xp.asarray(values, float)
@@ -181,10 +178,9 @@ def per_joint(
 def aligned(
     values: Float[Array | np.ndarray, " joints"], like: Joints
 ) -> Float[Array | np.ndarray, "..."]:
-    """Values per joint with the type and the number of axes of another array, (*batch, n).
+    """Return values per joint with the type and number of axes of another array, (*batch, n).
 
-    JAX then has no ranks or types to promote, which it can be configured to refuse. NumPy needs
-    nothing of that: its values are returned as they are.
+    JAX can be configured to refuse promotion of ranks and types. NumPy's values stay as they are.
     """
     of_numpy = isinstance(like, np.ndarray) and isinstance(values, np.ndarray)
     if of_numpy and like.dtype == values.dtype:
@@ -194,17 +190,7 @@ def aligned(
 
 
 def saturated(torque: Joints, limit: Float[Array | np.ndarray, " joints"]) -> Joints:
-    """Torque commands clipped at the drives' limits.
-
-    **Arguments**
-
-    - `torque`: (*batch, n) [N m or N].
-    - `limit`: (n,) [N m or N].
-
-    **Returns**
-
-    (*batch, n) [N m or N].
-    """
+    """Return torque commands, (*batch, n), clipped at the drives' limits, (n,) [N m or N]."""
     limit = aligned(limit, torque)
     return namespace(torque, limit).clip(torque, -limit, limit)
 
@@ -215,7 +201,7 @@ def conditional_integration(
     torque: Joints,
     limit: Float[Array | np.ndarray, " joints"],
 ) -> Joints:
-    """An integral advanced by one sample, with anti-windup.
+    """Advance an integral by one sample, with anti-windup.
 
     While the torque command of a joint exceeds its limit, increments that would push it further
     into saturation are left out: otherwise overshoot has to undo them (Åström and Hägglund 1995,
@@ -227,9 +213,7 @@ def conditional_integration(
     - `torque`: the command before it is clipped, (*batch, n) [N m or N].
     - `limit`: (n,) [N m or N].
 
-    **Returns**
-
-    The new integral, (*batch, n).
+    **Returns** the new integral, (*batch, n).
 
     >>> import jax.numpy as jnp
     >>> from jaxcslc.control import conditional_integration

@@ -1,9 +1,9 @@
-"""PID control, gravity compensation, and open-loop sinusoidal torques (thesis 7.4)."""
+"""PID control and gravity compensation (thesis 7.4)."""
 
 import abc
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -44,15 +44,9 @@ class AbstractPositionTorque(abc.ABC):
 
     @abc.abstractmethod
     def torque(self, q: Joints) -> Joints:
-        """The torque at positions `q`.
+        """Return the torque, (*batch, n) [N m or N], at positions `q`, (*batch, n) [rad or m].
 
-        **Arguments**
-
-        - `q`: (*batch, n) [rad or m]; NumPy or JAX arrays.
-
-        **Returns**
-
-        (*batch, n) [N m or N].
+        NumPy or JAX arrays.
         """
 
 
@@ -81,7 +75,7 @@ class Gravity(eqx.Module, AbstractPositionTorque):
         k: Float[Array | np.ndarray, " coefficients"],
         joints: Sequence[int],
     ) -> "Gravity":
-        """Gravity compensation of some joints, by the coefficients that act on no other joint.
+        """Make the compensation of some joints, by the coefficients that act on no other joint.
 
         For joints 2 and 3 of the PUMA 560 these are all but k₂ᴳ, that of the wrist: the
         abbreviated gravity compensation of the thesis's PID controller (7.4), which the thesis
@@ -189,7 +183,7 @@ class PID(AbstractController):
         cutoff: float = 20.0,
         integration: str = "forward",
     ) -> None:
-        """A controller of `joints` joints; gains and limits are one number, or one for each joint.
+        """Make a controller of `joints` joints; gains and limits are one number, or one per joint.
 
         **Arguments**
 
@@ -249,12 +243,9 @@ class PID(AbstractController):
             rate = state.rate + weight * ((error - state.error) / interval - state.rate)
         else:
             rate = reference.qd - qd
-        if self.integration == "forward":
-            before, increment = state.integral, error * interval
-            integral = before
-        else:
-            before, increment = state.integral, error * elapsed
-            integral = before + increment
+        forward = self.integration == "forward"
+        increment = error * (interval if forward else elapsed)
+        integral = state.integral if forward else state.integral + increment
         torque = (
             aligned(self.position_gain, error) * error
             + aligned(self.integral_gain, error) * integral
@@ -263,71 +254,9 @@ class PID(AbstractController):
         if self.gravity is not None:
             torque = torque + self.gravity.torque(q)
         if self.torque_limit is None:
-            integral = before + increment
+            integral = state.integral + increment
         else:
-            integral = conditional_integration(before, increment, torque, self.torque_limit)
-            torque = saturated(torque, self.torque_limit)
+            limit = self.torque_limit
+            integral = conditional_integration(state.integral, increment, torque, limit)
+            torque = saturated(torque, limit)
         return torque, PIDState(error, rate, integral, state.samples + 1)
-
-
-class SinusoidalTorque(AbstractController):
-    """Open-loop excitation: a sinusoidal torque at each joint, with gravity compensated (7.4.1).
-
-    The controller of the thesis's training trajectory. There is no feedback: the machine decides
-    on the motion, which is roughly sinusoidal where the inertia of each joint outweighs the
-    coupling. The reference is ignored. Samples are equally spaced. The state counts them,
-    (*batch, 1).
-
-    **Attributes**
-
-    - `amplitude`: (n,) [N m or N].
-    - `period`: (n,) [s].
-    - `phase`: (n,) [rad]. At 3π/2 a joint that starts at rest swings to one side and back.
-    - `gravity`: gravity compensation, or None.
-    - `repulsion`: torques that keep the arm away from obstacles, such as `sim.Repulsion`.
-
-    >>> import numpy as np
-    >>> from jaxcslc.control import Reference, SinusoidalTorque
-    >>> controller = SinusoidalTorque(np.array([2.0]), np.array([0.8]), np.array([1.5 * np.pi]))
-    >>> q = np.zeros(1)
-    >>> torque, state = controller.step(controller.begin(q), Reference.at_rest(q), q, 0.002)
-    >>> torque.tolist(), state.tolist()
-    ([-2.0], [1])
-    """
-
-    amplitude: Float[Array | np.ndarray, " joints"]
-    period: Float[Array | np.ndarray, " joints"]
-    phase: Float[Array | np.ndarray, " joints"]
-    gravity: AbstractPositionTorque | None = None
-    repulsion: tuple[AbstractPositionTorque, ...] = ()
-
-    @property
-    def array_generic(self) -> bool:
-        """True unless gravity compensation or repulsion need JAX."""
-        parts = self.repulsion if self.gravity is None else (self.gravity, *self.repulsion)
-        return all(part.array_generic for part in parts)
-
-    def begin(self, q: Joints) -> Int[Array | np.ndarray, "*batch 1"]:
-        """Return zero samples."""
-        xp = namespace(q)
-        return xp.zeros((*q.shape[:-1], 1), int)
-
-    def step(
-        self,
-        state: Int[Array | np.ndarray, "*batch 1"],
-        reference: Reference,
-        q: Joints,
-        interval: float | Array,
-        qd: Joints | None = None,
-    ) -> tuple[Joints, Any]:
-        """Compute the torque command, as `AbstractController.step` describes."""
-        del reference, qd  # open loop
-        xp = namespace(q, state)
-        time = state.astype(q.dtype) * xp.asarray(interval, dtype=q.dtype)
-        angle = 2 * np.pi * time / aligned(self.period, q)
-        torque = aligned(self.amplitude, q) * xp.sin(angle + aligned(self.phase, q))
-        if self.gravity is not None:
-            torque = torque + self.gravity.torque(q)
-        for repulsion in self.repulsion:
-            torque = torque + repulsion.torque(q)
-        return torque, state + 1

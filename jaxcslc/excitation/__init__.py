@@ -2,30 +2,35 @@
 
      network, limits, noise, knowledge --> Planner --> Search --> DenseCheck --> Design --> files
                                             |            ^
-             family, criterion, task -------+            +-- information of a motion
+                             family, goal --+            +-- information of a motion
 
 `design_motion` is the entry. The criterion is minimised under all limits. Then the motion is
 scaled until a dense check finds every limit kept.
 
 Modules, in reading order:
 
-- `_limits`, `_noise`: limits of joints, surroundings, and noise of the recording chain.
+- `_limits`: limits of joints, and surroundings.
 - `_families`: joint motions that are linear in their parameters.
-- `_information`: information of a motion about coefficients, and predicted errors.
-- `_criteria`, `_task`: what is minimised, prior knowledge, and motion to predict.
-- `_feasibility`, `collision`: limits at all times, and distances of bodies.
+- `_information`: noise, information of a motion about coefficients, and predicted errors.
+- `_feasibility`: use of limits at all times.
+- `_criteria`: criteria, prior knowledge, and motion to predict.
+- `_collision`: distances of bodies.
 - `_search`: the augmented Lagrangian.
 - `_design`: planner and designs; `_output`: files and page of a design.
 """
 
+from ._collision import CollisionBodies as CollisionBodies
 from ._criteria import (
     CRITERIA as CRITERIA,
     EXPLANATIONS as EXPLANATIONS,
+    Goal as Goal,
     Knowledge as Knowledge,
+    random_parameters as random_parameters,
     wanted_indices as wanted_indices,
 )
 from ._design import (
     FAMILIES as FAMILIES,
+    Effort as Effort,
     Planner as Planner,
     design_motion as design_motion,
     family_named as family_named,
@@ -37,12 +42,13 @@ from ._families import (
     MinimumJerkMoves as MinimumJerkMoves,
 )
 from ._feasibility import DenseCheck as DenseCheck, Use as Use
-from ._information import MotionInformation as MotionInformation, Prediction as Prediction
+from ._information import (
+    MotionInformation as MotionInformation,
+    Noise as Noise,
+    Prediction as Prediction,
+)
 from ._limits import Limits as Limits, Surroundings as Surroundings, load_limits as load_limits
-from ._noise import Noise as Noise
 from ._output import Design as Design, design_files as design_files, save_design as save_design
-from ._task import random_parameters as random_parameters
-from .collision import CollisionBodies as CollisionBodies
 
 
 __all__ = [
@@ -53,7 +59,9 @@ __all__ = [
     "BSplines",
     "DenseCheck",
     "Design",
+    "Effort",
     "FourierSeries",
+    "Goal",
     "Knowledge",
     "Limits",
     "MinimumJerkMoves",

@@ -1,19 +1,32 @@
-"""Criteria that a design minimises, and the knowledge of coefficients before the motion."""
+"""Criteria that a design minimises: their goal, prior knowledge and the motion to predict.
+
+A criterion makes one number of a motion's `Moments` (`_information`), given what is known before
+(`Knowledge`) and what the motion is for (`Goal`).
+"""
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..bodies import information_rows
+from ..bodies import (
+    balls,
+    body_map,
+    body_of_pseudo_inertia,
+    information_rows,
+    prior_of,
+    pseudo_inertia,
+)
 from ..least_squares import Identification
 from ..network import CSLC
-from ._information import Moments, Square, error_covariance
-from ._task import BodyPrior
+from ..recordings import Preparation, Recording
+from ._families import Parameters, Times
+from ._feasibility import DenseCheck
+from ._information import Moments, MotionInformation, Square, error_covariance, regressor_of
 
 
 Criterion = Literal[
@@ -35,6 +48,188 @@ EXPLANATIONS: dict[str, str] = {
 }
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Goal:
+    """What a motion is designed for.
+
+    **Attributes**
+
+    - `criterion`: one of `CRITERIA`; `EXPLANATIONS` says what they are.
+    - `wanted`: names, groups or kinds of coefficients that matter; all if None.
+    - `task`: motion on which torques are to be predicted, a recording or (`q`, `qd`, `qdd`), for
+      the criteria `"overall"` and `"torque"`; random motions within the limits if None.
+
+    **Raises**
+
+    - `ValueError`: another criterion, or a task for a criterion without one.
+
+    >>> from jaxcslc.excitation import Goal
+    >>> Goal("worst", wanted=["viscous", "dry"]).task is None
+    True
+    """
+
+    criterion: str = "overall"
+    wanted: Sequence[str] | None = None
+    task: Recording | tuple[Any, Any, Any] | None = None
+
+    def __post_init__(self) -> None:
+        if self.criterion not in CRITERIA:
+            raise ValueError(f"criterion: expected {', '.join(CRITERIA)}, got {self.criterion!r}")
+        if self.task is not None and self.criterion not in ON_TASK:
+            raise ValueError(
+                f"criterion {self.criterion!r} has no task; expected {' or '.join(ON_TASK)}, or no"
+                " task"
+            )
+
+
+_TASKS, _TASK_STRIDE = 40, 5  # random motions on which torques matter, samples apart
+
+
+def random_parameters(
+    check: DenseCheck,
+    pose: Float[np.ndarray, " joints"],
+    rng: np.random.Generator,
+    spread: float | None = None,
+) -> Parameters:
+    """Return a random motion about a pose, within nine tenths of the kinematic limits.
+
+    **Arguments**
+
+    - `check`: of limits, with the family of the motion.
+    - `pose`: (n,) positions [rad or m].
+    - `rng`: what it is drawn from.
+    - `spread`: of its start about the pose, as a part of the ranges; a tenth if None.
+
+    **Returns** the family's parameters, (parameters, n).
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.excitation import BSplines, DenseCheck, Limits, random_parameters
+    >>> network = jc.derive(jc.examples.turntable(), lengths="numeric")
+    >>> limits = Limits.of(network.robot, {"position": [-1, 1], "velocity": 2})
+    >>> family = BSplines(5.0, 10)
+    >>> check = DenseCheck(network, None, limits, family)
+    >>> parameters = random_parameters(check, np.zeros(1), np.random.default_rng(0))
+    >>> q, qd, _ = family.motion(parameters, np.linspace(0.0, 5.0, 200))
+    >>> bool(np.max(np.abs(q)) <= 1.0), bool(np.max(np.abs(qd)) <= 2.0)
+    (True, True)
+    """
+    limits, family = check.limits, check.family
+    half = (limits.high - limits.low) / 2
+    parameters = half * rng.normal(0.0, 0.7, (family.size, len(half)))
+    shift = (0.1 if spread is None else spread) * half * rng.uniform(-1.0, 1.0, len(half))
+    parameters[0] = np.clip(pose + shift, limits.low + 0.1 * half, limits.high - 0.1 * half)
+    if spread == 0.0:
+        parameters[0] = pose
+    return check.within_kinematic_limits(parameters, 0.9)
+
+
+def random_products(
+    information: MotionInformation,
+    check: DenseCheck,
+    k: Float[np.ndarray, " coefficients"] | None,
+    time: Times,
+    rng: np.random.Generator,
+) -> Float[np.ndarray, "_ _"]:
+    """Return the mean squared torque, over the noise's, of coefficients' errors in random motions.
+
+    Their poses are all over the ranges. Where there is a model `k` of torques, those states count
+    whose torques keep the limits.
+    """
+    limits, family = check.limits, check.family
+    half = (limits.high - limits.low) / 2
+    motions = [
+        family.motion(random_parameters(check, limits.middle + half * pose, rng), time)
+        for pose in rng.uniform(-0.8, 0.8, (_TASKS, len(half)))
+    ]
+    states = (np.concatenate(x)[::_TASK_STRIDE] for x in zip(*motions, strict=True))
+    regressor = regressor_of(information.network, *states)
+    if k is not None:
+        within = np.all(np.abs(regressor @ k) <= limits.usable_torque, axis=1)
+        regressor = regressor[within | (not within.any())]
+    return _products(information, regressor)
+
+
+def task_products(information: MotionInformation, task: Any) -> Float[np.ndarray, "_ _"]:
+    """Return the mean squared torque, over the noise's, of coefficients' errors on a motion."""
+    if isinstance(task, Recording):
+        task = Preparation().derivatives(task)
+    return _products(information, regressor_of(information.network, *task))
+
+
+def _products(
+    information: MotionInformation, regressor: Float[np.ndarray, "samples joints coefficients"]
+) -> Float[np.ndarray, "_ _"]:
+    deviation = information.noise.torque_deviation(information.network.joint_count)
+    rows = regressor * information.size / deviation[:, None]
+    rows = rows.reshape(-1, information.network.size)
+    return rows.T @ rows / len(regressor)
+
+
+class BodyPrior(NamedTuple):
+    """Links of the robot's file as prior knowledge, uncertain by about their own size.
+
+    A body's pseudo-inertia is J = L (1 + X) Lᵀ, with L Lᵀ that of the file, X symmetric, and
+    independent standard deviations of 1 (of diagonal entries √2): changes of mass, centre and
+    inertia count by the body's own size, whatever the axes. Motor inertias and friction are
+    uncertain by their sizes.
+
+    **Attributes**
+
+    - `to_coefficients`: (p, unknowns), of unit changes, in units of the coefficients' sizes.
+    - `to_numbers`: (numbers, unknowns), of what each coefficient depends on: m, m c, and the
+      inertia about the frame's origin, in units of their prior standard deviations.
+    """
+
+    to_coefficients: Any
+    to_numbers: Any
+
+
+def body_prior(network: CSLC, size: Float[np.ndarray, " coefficients"]) -> BodyPrior:
+    """Make the prior of the links of the robot's file.
+
+    **Raises**
+
+    - `ValueError`: the file has no masses.
+    """
+    robot = network.robot
+    if robot.links is None:
+        raise ValueError(
+            f"criterion 'bodies': the file of {robot.name!r} has no masses; expected links' masses,"
+            " centres and inertias, or another criterion"
+        )
+    of_bodies, of_motors = body_map(network.algebra)
+    inertial, links, numbers = of_bodies.shape
+    changes = np.zeros((links, numbers, links, numbers))
+    mass = float(np.mean([float(link.mass) for link in robot.links])) or 1.0
+    # Links that the file has without mass, or flat, borrow what they lack.
+    prior = prior_of(robot, robot.links, balls(robot, mass), np.zeros((links, numbers)))
+    for link, body in enumerate(prior.bodies):
+        changes[link, :, link] = _body_changes(body)
+    others = np.eye(network.size)[:, inertial:]
+    inertias = np.zeros((network.size, links))
+    bodies = np.zeros((network.size, links * numbers))
+    bodies[:inertial] = np.einsum("clk,lkx->cx", of_bodies, changes.reshape(links, numbers, -1))
+    inertias[:inertial] = of_motors * prior.motor_scales
+    to_coefficients = np.hstack([bodies / size[:, None], inertias / size[:, None], others])
+    seen = np.any(of_bodies != 0.0, axis=0).ravel()
+    rows = changes.reshape(links * numbers, -1)[seen]
+    rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+    unknowns = to_coefficients.shape[1]
+    return BodyPrior(to_coefficients, np.pad(rows, ((0, 0), (0, unknowns - rows.shape[1]))))
+
+
+def _body_changes(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "10 10"]:
+    """Return derivatives of the ten numbers by a pseudo-inertia in its own units."""
+    root = np.linalg.cholesky(pseudo_inertia(body))
+    columns: list[np.ndarray] = []
+    for i in range(4):
+        for j in range(i + 1):
+            unit = np.zeros((4, 4))
+            unit[i, j] = unit[j, i] = 1.0 if i != j else np.sqrt(2.0)
+            columns.append(body_of_pseudo_inertia(root @ unit @ root.T))
+    return np.stack(columns, axis=1)
+
+
 def log_criterion(
     criterion: str,
     moments: Moments,
@@ -42,14 +237,14 @@ def log_criterion(
     wanted: Int[Array | np.ndarray, " wanted"],
     task: Any,
 ) -> Any:
-    """The natural logarithm of what a design minimises, differentiable.
+    """Return the natural logarithm of what a design minimises, differentiably.
 
-    Standard errors are those after the motion, with what was known before: every coefficient to
-    about its own size, which keeps those that no motion determines from governing the sum.
+    Standard errors are those after the motion, with prior information. Every coefficient is known
+    to about its own size before: those that no motion determines would else govern the sum.
 
     **Arguments**
 
-    - `criterion`: one of `CRITERIA`; `EXPLANATIONS` says what they are.
+    - `criterion`: as of `Goal`.
     - `moments`: of the motion.
     - `prior`: (p, p) information before it, in units of the coefficients' sizes.
     - `wanted`: indices of the coefficients that matter; others may have any error.
@@ -88,12 +283,9 @@ def log_criterion(
 
 
 def body_variances(moments: Moments, prior: Any, bodies: BodyPrior) -> Any:
-    """(numbers,) of links' numbers after a motion, over those before.
+    """Return the variances of links' numbers after a motion, over those before, (numbers,).
 
-    **Arguments**
-
-    - `prior`: (p, p) information of coefficients, of `prior_information`; bodies bring their own in
-      place of its weak one.
+    `prior` is of `prior_information`; bodies bring their own instead of its weak one.
     """
     to, weak = bodies.to_coefficients, jnp.eye(prior.shape[0])
     of_bodies = lambda matrix: to.T @ matrix @ to
@@ -104,7 +296,7 @@ def body_variances(moments: Moments, prior: Any, bodies: BodyPrior) -> Any:
 
 
 def wanted_indices(network: CSLC, names: Sequence[str] | None) -> Int[np.ndarray, " wanted"]:
-    """Indices of coefficients by name, group or kind of term; of all if None.
+    """Return the indices of coefficients by name, group or kind of term; of all if None.
 
     **Raises**
 
@@ -176,8 +368,7 @@ class Knowledge:
 
     @classmethod
     def of_robot(cls, network: CSLC) -> "Knowledge":
-        """The coefficients of the robot's own links and friction; of robots whose file has no
-        masses, no model."""
+        """Return the coefficients of the file's links and friction; no model without masses."""
         robot = network.robot
         unknown = np.full(network.size, np.inf)
         if robot.links is None:
@@ -250,14 +441,3 @@ class Knowledge:
         information = None if self.information is None else np.pad(self.information, (0, added))
         error = np.pad(self.standard_error, (0, added), constant_values=np.inf)
         return Knowledge(k, information, error, self.is_model)
-
-    def after(
-        self, covariance: Square, k: Float[Array | np.ndarray, " coefficients"] | None = None
-    ):
-        """The knowledge once coefficients have a covariance (p, p), as a `Prediction` has it."""
-        error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        unit = np.where(error > 0.0, error, 1.0)
-        inverse = np.linalg.inv(covariance / np.outer(unit, unit)) / np.outer(unit, unit)
-        return Knowledge(
-            self.k if k is None else np.asarray(k, float), inverse, error, self.is_model
-        )

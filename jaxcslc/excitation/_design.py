@@ -1,8 +1,8 @@
-"""Entry of the package: `design_motion`, and the `Planner` for several designs of one robot."""
+"""Designs of motions: `design_motion`, and the `Planner` for several designs of one robot."""
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Literal, get_args
 
 import equinox as eqx
@@ -11,13 +11,17 @@ import numpy as np
 from jaxtyping import Float
 
 from ..network import CSLC
-from ..recordings import Recording
+from ._collision import CollisionBodies
 from ._criteria import (
-    CRITERIA,
     ON_TASK,
+    Goal,
     Knowledge,
+    body_prior,
     log_criterion,
     prior_information,
+    random_parameters,
+    random_products,
+    task_products,
     wanted_indices,
 )
 from ._families import AbstractFamily, BSplines, FourierSeries, MinimumJerkMoves, Parameters
@@ -25,20 +29,17 @@ from ._feasibility import DenseCheck, Use
 from ._information import (
     UNDETERMINED,
     MotionInformation,
+    Noise,
     Prediction,
     coefficient_sizes,
-    column_scaled,
-    condition_of,
+    condition_number,
     error_covariance,
     regressor_of,
     time_grid,
 )
-from ._limits import Limits, Surroundings
-from ._noise import Noise
+from ._limits import Limits
 from ._output import Design
 from ._search import DesignProblem, Search
-from ._task import body_prior, random_parameters, random_products, task_products
-from .collision import CollisionBodies
 
 
 FamilyName = Literal["splines", "fourier", "periodic", "moves"]
@@ -53,7 +54,7 @@ _RESTS = 200  # poses that are tried for a start
 
 
 def family_named(name: str, duration: float) -> AbstractFamily:
-    """A family with as many parameters as suit a duration.
+    """Return a family with as many parameters as suit a duration.
 
     **Arguments**
 
@@ -77,48 +78,55 @@ def family_named(name: str, duration: float) -> AbstractFamily:
     raise ValueError(f"family: expected {', '.join(FAMILIES)}, got {name!r}")
 
 
+@dataclasses.dataclass(frozen=True)
+class Effort:
+    """Length of a search.
+
+    **Attributes**
+
+    - `starts`: random motions, of which the best is refined.
+    - `rounds`: of multipliers, when refining.
+    - `steps`: of L-BFGS in a round.
+    """
+
+    starts: int = 3
+    rounds: int = 5
+    steps: int = 60
+
+
 def design_motion(
     network: CSLC,
     limits: Limits,
     noise: Noise,
     *,
+    goal: Goal | None = None,
+    knowledge: Knowledge | None = None,
     duration: float = 10.0,
     family: str | AbstractFamily = "splines",
-    wanted: Sequence[str] | None = None,
-    criterion: str = "overall",
-    knowledge: Knowledge | None = None,
-    task: Recording | tuple[Any, Any, Any] | None = None,
-    surroundings: Surroundings | None = None,
     start: Float[np.ndarray, " joints"] | None = None,
     seed: int = 0,
-    starts: int = 3,
-    rounds: int = 5,
-    steps: int = 60,
+    effort: Effort = Effort(),
     progress: Callable[[str], None] | None = None,
 ) -> Design:
-    """Design the motion to record: that which makes predicted standard errors least.
+    """Design the motion to record: the one with the smallest predicted standard errors.
 
     The logarithm of the criterion is minimised by gradients through the regressor under all limits
     (augmented Lagrangian, L-BFGS), from several random motions of which the best is refined. Then
-    the motion is checked densely, bounds between samples included, and shrunk towards its start
-    until it keeps every limit: what is returned always does.
+    the motion is checked densely, bounds between samples included, and scaled about its start
+    until it satisfies all limits: what is returned always does.
 
     **Arguments**
 
     - `network`: n joints, p coefficients.
-    - `limits`: of joints.
+    - `limits`: of joints, and surroundings.
     - `noise`: of the recording chain, and the estimator.
+    - `goal`: criterion, coefficients that matter, and motion to predict; `Goal()` if None.
+    - `knowledge`: of coefficients before; by default that of the robot's file.
     - `duration`: [s], for a family by name.
     - `family`: of motions, or its name: `"splines"`, `"fourier"`, `"periodic"`, `"moves"`.
-    - `wanted`: names, groups or kinds of coefficients that matter; all if None.
-    - `criterion`: one of `CRITERIA`.
-    - `knowledge`: of coefficients before; by default that of the robot's file.
-    - `task`: motion on which torques are to be predicted, for the criteria `"overall"` and
-      `"torque"`; random motions within the limits if None.
-    - `surroundings`: bodies that must not collide; not watched if None.
     - `start`: the pose to start from, (n,); any if None.
     - `seed`: of the random motions; the same seed gives the same design.
-    - `starts`, `rounds`, `steps`: random motions, rounds of multipliers, and steps in a round.
+    - `effort`: length of the search.
     - `progress`: is called with a few words. Ctrl-C ends the search; the best so far is returned.
 
     **Raises**
@@ -126,50 +134,41 @@ def design_motion(
     - `ValueError`: no pose keeps the limits, with the limit; arguments that do not fit together.
 
     >>> import numpy as np, jaxcslc as jc
-    >>> from jaxcslc.excitation import Knowledge, Limits, Noise, design_motion
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(arm, lengths="numeric")
+    >>> from jaxcslc.excitation import Effort, Knowledge, Limits, Noise, design_motion
+    >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric")
     >>> knowledge = Knowledge(np.array([0.5, 2, 0.1, 0.2, 0.3]), None, np.full(5, np.inf))
-    >>> limits = Limits.of(arm, {"position": [-2, 2], "velocity": 3, "torque": 30})
+    >>> limits = Limits.of(network.robot, {"position": [-2, 2], "velocity": 3, "torque": 30})
+    >>> noise, effort = Noise(0.1, 1e-4), Effort(starts=1, rounds=2)
     >>> design = design_motion(
-    ...     network, limits, Noise(0.1, 1e-4), duration=3.0, knowledge=knowledge, starts=1, rounds=2
+    ...     network, limits, noise, duration=3.0, knowledge=knowledge, effort=effort
     ... )
     >>> design.use.feasible, bool(np.max(design.prediction.relative_error) < 0.2)
     (True, True)
     """
+    family = family_named(family, duration) if isinstance(family, str) else family
     planner = Planner.of(
-        network,
-        limits,
-        noise,
-        family_named(family, duration) if isinstance(family, str) else family,
-        wanted=wanted,
-        criterion=criterion,
-        knowledge=knowledge,
-        task=task,
-        surroundings=surroundings,
-        start=start,
-        seed=seed,
+        network, limits, noise, family, goal=goal, knowledge=knowledge, start=start, seed=seed
     )
-    return planner.design(seed, starts, rounds, steps, progress or (lambda _: None))
+    return planner.design(seed, effort, progress)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Planner:
-    """Shared data of all designs for one robot, family and wish.
+    """Shared data of all designs for one robot, family and goal.
 
     **Attributes**
 
     - `problem`: of the search; `check`: of limits; `bodies`: that must not collide, or None.
-    - `family`, `limits`, `noise`, `knowledge`: as of `design_motion`.
+    - `family`, `limits`, `noise`, `knowledge`, `start`: as of `design_motion`.
     - `time`: the grid on which motions are judged.
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.excitation import BSplines, Knowledge, Limits, Noise, Planner
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric")
     >>> knowledge = Knowledge(np.array([0.5, 2, 0.1, 0.2, 0.3]), None, np.full(5, np.inf))
-    >>> limits = Limits.of(arm, {"position": [-2, 2], "velocity": 3, "torque": 30})
-    >>> network, family = jc.derive(arm, lengths="numeric"), BSplines(3.0, 8)
-    >>> planner = Planner.of(network, limits, Noise(0.1, 1e-4), family, knowledge=knowledge)
+    >>> limits = Limits.of(network.robot, {"position": [-2, 2], "velocity": 3, "torque": 30})
+    >>> noise, family = Noise(0.1, 1e-4), BSplines(3.0, 8)
+    >>> planner = Planner.of(network, limits, noise, family, knowledge=knowledge)
     >>> planner.family.description, planner.bodies is None
     ('quintic B-splines of 8 intervals', True)
     """
@@ -192,99 +191,97 @@ class Planner:
         noise: Noise,
         family: AbstractFamily,
         *,
-        wanted: Sequence[str] | None = None,
-        criterion: str = "overall",
+        goal: Goal | None = None,
         knowledge: Knowledge | None = None,
-        task: Recording | tuple[Any, Any, Any] | None = None,
-        surroundings: Surroundings | None = None,
         start: Float[np.ndarray, " joints"] | None = None,
         seed: int = 0,
     ) -> "Planner":
         """Make a planner from the arguments of `design_motion`; raises as it does."""
         n = network.joint_count
-        if criterion not in CRITERIA:
-            raise ValueError(f"criterion: expected {', '.join(CRITERIA)}, got {criterion!r}")
-        if task is not None and criterion not in ON_TASK:
-            raise ValueError(
-                f"criterion {criterion!r} has no task; expected {' or '.join(ON_TASK)}, or no task"
-            )
         if start is not None and np.shape(start) != (n,):
             raise ValueError(f"start: expected {n} positions, got {np.shape(start)}")
-        knowledge = knowledge or Knowledge.of_robot(network)
+        goal, knowledge = goal or Goal(), knowledge or Knowledge.of_robot(network)
         deviation = noise.torque_deviation(n)
         noise.position_deviation(n)  # raises for another robot's
-        coarse = np.clip(family.duration / _SAMPLES, _FINEST, _COARSEST)
-        time, interval = time_grid(family.duration, float(coarse))
+        time, interval = time_grid(
+            family.duration, float(np.clip(family.duration / _SAMPLES, _FINEST, _COARSEST))
+        )
         model = knowledge.k if knowledge.is_model else None
-        bodies = None if surroundings is None else CollisionBodies.of(network.robot, surroundings)
-        check = DenseCheck(
-            network, model, limits, family, distance=None if bodies is None else bodies.clearance
-        )
-        typical = family.motion(
-            random_parameters(check, limits.middle, np.random.default_rng(seed)), time
-        )
+        bodies = limits.surroundings and CollisionBodies.of(network.robot, limits.surroundings)
+        clearance = None if bodies is None else bodies.clearance
+        check = DenseCheck(network, model, limits, family, distance=clearance)
+        rng = np.random.default_rng(seed)
+        typical = family.motion(random_parameters(check, limits.middle, rng), time)
         torque = np.where(np.isfinite(limits.torque), limits.torque, 100 * deviation)
         size = coefficient_sizes(network, knowledge.k, typical, torque)
         information = MotionInformation(network, knowledge.k, size, noise, interval)
-        of_task: Any = np.zeros((network.size, network.size))
-        if criterion == "bodies":
-            of_task = body_prior(network, size)
-        elif task is not None:
-            of_task = task_products(information, task)
-        elif criterion in ON_TASK:
+        task: Any = np.zeros((network.size, network.size))
+        if goal.criterion == "bodies":
+            task = body_prior(network, size)
+        elif goal.task is not None:
+            task = task_products(information, goal.task)
+        elif goal.criterion in ON_TASK:
             rng = np.random.default_rng(seed)
-            of_task = random_products(information, check, model, time, rng)
+            task = random_products(information, check, model, time, rng)
         problem = DesignProblem.of(
             information,
             family,
             time,
             limits,
             prior=prior_information(size, knowledge.information),
-            wanted=wanted_indices(network, wanted),
-            task=of_task,
-            criterion=criterion,
+            wanted=wanted_indices(network, goal.wanted),
+            task=task,
+            criterion=goal.criterion,
             start=start,
         )
         return cls(problem, check, bodies, family, limits, noise, knowledge, time, start)
 
     def design(
-        self, seed: int, starts: int, rounds: int, steps: int, progress: Callable[[str], None]
+        self,
+        seed: int = 0,
+        effort: Effort = Effort(),
+        progress: Callable[[str], None] | None = None,
     ) -> Design:
-        """The best of several starts, refined; see `design_motion`."""
+        """Search from several random motions, and refine the best; see `design_motion`."""
+        say = progress or (lambda _: None)
         rng = np.random.default_rng(seed)
         pose = self.rest_pose(rng)
         spread = None if self.start is None else 0.0
-        initial = [random_parameters(self.check, pose, rng, spread) for _ in range(starts)]
-        contacts = None if self.bodies is None else self.bodies.contacts
+        initial = [random_parameters(self.check, pose, rng, spread) for _ in range(effort.starts)]
         interrupted = False
-        search = Search(self.problem, contacts)
+        search = Search(self.problem, None if self.bodies is None else self.bodies.contacts)
         best, least = self.problem.variables(initial[0]), np.inf
         try:
             for number, parameters in enumerate(initial, 1):
-                search.progress = lambda text, i=number: progress(f"start {i}, {text}")
-                value = search.run(self.problem.variables(parameters), 2, max(steps // 3, 5))
+                search.progress = lambda text, i=number: say(f"start {i}, {text}")
+                value = search.run(self.problem.variables(parameters), 2, max(effort.steps // 3, 5))
                 if value < least:
                     best, least = np.array(search.best), value
-            search.progress = lambda text: progress(f"refining, {text}")
-            search.run(best, rounds, steps)
-            self._repair(search, steps)
+            search.progress = lambda text: say(f"refining, {text}")
+            search.run(best, effort.rounds, effort.steps)
+            self._repair(search, effort.steps)
         except KeyboardInterrupt:
             interrupted = True
-            progress("interrupted: the best motion so far is checked")
+            say("interrupted: the best motion so far is checked")
         # A search that was interrupted may not have reached what an earlier one had.
-        reached = [search.best] if not interrupted and search.best is not None else []
-        reached = reached or [x for x in (best, search.best) if x is not None]
-        scaled = [self.check.scaled(self._of_variables(x)) for x in reached]
+        reached = [best, search.best] if interrupted or search.best is None else [search.best]
+        scaled = [self.check.scaled(self._of_variables(x)) for x in reached if x is not None]
         parameters, use, scale = min(scaled, key=lambda motion: self.criterion_of(motion[0]))
-        notes = (*self.limits.notes, *self._notes(interrupted))
-        return self.described(parameters, use, self.criterion_of(parameters), scale, notes)
+        notes = [*self.limits.notes]
+        if not self.knowledge.is_model:
+            notes.append(
+                "the robot's file has no masses: torques are not limited, and noise of positions"
+                " does not count; expected an earlier identification"
+            )
+        if interrupted:
+            notes.append("interrupted: the best motion until then")
+        return self.described(parameters, use, scale, tuple(notes))
 
     def _repair(self, search: Search, steps: int) -> None:
         """Search once more from where a search ended, with limits a little narrower.
 
-        They are narrower where the dense check finds a motion beyond them between the search's
-        samples. Other bodies are kept a little further away, as long as linear distances were not
-        enough.
+        The dense check finds which limits the motion exceeds between the search's samples. Where
+        linear distances were not enough, other bodies are kept a little further away.
         """
         bodies, beside = self.bodies, _BESIDE
         for _ in range(_REPAIRS):
@@ -304,8 +301,9 @@ class Planner:
         return np.asarray(self.problem.parameters(jnp.asarray(x)))
 
     def rest_pose(self, rng: np.random.Generator) -> Float[np.ndarray, " joints"]:
-        """A pose in which the arm can rest: that to start from, the middle of the ranges, or the
-        first random one.
+        """Return a pose for the arm to rest in.
+
+        It is the one to start from, else the middle of the ranges, or the first random one.
 
         **Raises**
 
@@ -328,12 +326,11 @@ class Planner:
         raise ValueError(f"no motion keeps the limits: at rest in {where}, {fallback.worst}")
 
     def criterion_of(self, parameters: Parameters) -> float:
-        """The criterion of a motion on the grid."""
+        """Compute the criterion of a motion on the grid."""
         problem = self.problem
         motion = self.family.motion(np.asarray(parameters), self.time)
-        moments = self.moments(motion)
         value = log_criterion(
-            problem.criterion, moments, problem.prior, problem.wanted, problem.task
+            problem.criterion, self.moments(motion), problem.prior, problem.wanted, problem.task
         )
         return float(np.exp(value))
 
@@ -345,16 +342,14 @@ class Planner:
         return _moments(information, (q, qd, qdd), information.spectra(q), regressor)
 
     def prediction(self, motion: Any) -> Prediction:
-        """Standard errors after a motion on the grid, and after what was known before."""
+        """Predict standard errors after a motion on the grid, with what was known before."""
         return predicted(self.problem.information, self.knowledge, self.moments(motion))
 
     def described(
-        self, parameters: Parameters, use: Use, value: float, scale: float, notes: tuple[str, ...]
+        self, parameters: Parameters, use: Use, scale: float, notes: tuple[str, ...]
     ) -> Design:
-        """A `Design` of a motion."""
+        """Make the `Design` of a motion."""
         network = self.problem.information.network
-        names = tuple(network.names[i] for i in np.asarray(self.problem.wanted))
-        motion = self.family.motion(np.asarray(parameters), self.time)
         return Design(
             network,
             self.family,
@@ -362,32 +357,23 @@ class Planner:
             self.limits,
             use,
             self.noise,
-            self.prediction(motion),
+            self.prediction(self.family.motion(np.asarray(parameters), self.time)),
             self.problem.criterion,
-            value,
-            names,
+            self.criterion_of(parameters),
+            tuple(network.names[i] for i in np.asarray(self.problem.wanted)),
             scale,
             notes,
         )
 
-    def _notes(self, interrupted: bool) -> list[str]:
-        notes: list[str] = []
-        if not self.knowledge.is_model:
-            notes.append(
-                "the robot's file has no masses: torques are not limited, and noise of positions"
-                " does not count; expected an earlier identification"
-            )
-        if interrupted:
-            notes.append("interrupted: the best motion until then")
-        return notes
-
 
 def predicted(information: MotionInformation, knowledge: Knowledge, moments: Any) -> Prediction:
-    """Standard errors after a motion of these moments."""
+    """Predict standard errors after a motion of these moments."""
     size, network = information.size, information.network
     prior = prior_information(size, knowledge.information, UNDETERMINED)
     covariance = np.asarray(error_covariance(moments, jnp.asarray(prior))) * np.outer(size, size)
     plain = np.asarray(moments.plain)
+    length = np.sqrt(np.maximum(np.diag(plain), 0.0))
+    length = np.where(length > 0.0, length, 1.0)
     return Prediction(
         network.names,
         tuple(coefficient.unit for coefficient in network.coefficients),
@@ -395,8 +381,8 @@ def predicted(information: MotionInformation, knowledge: Knowledge, moments: Any
         size,
         covariance,
         knowledge.standard_error,
-        condition_of(plain),
-        condition_of(column_scaled(plain)),
+        condition_number(plain),
+        condition_number(plain / np.outer(length, length)),
     )
 
 

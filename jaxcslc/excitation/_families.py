@@ -6,7 +6,7 @@ All are linear in their parameters, so that kinematic limits are linear too.
 import abc
 import dataclasses
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy
@@ -15,6 +15,8 @@ from jaxtyping import Array, Float
 
 Parameters = Float[Array | np.ndarray, "parameters joints"]
 Times = Float[np.ndarray, " samples"]
+
+_DEGREE = 5  # of splines and of minimum-jerk moves
 
 
 class AbstractFamily(abc.ABC):
@@ -30,9 +32,11 @@ class AbstractFamily(abc.ABC):
     **Attributes**
 
     - `duration`: of the motion [s].
+    - `smoothness`: the highest order of a derivative that is continuous.
     """
 
     duration: float
+    smoothness: ClassVar[float]
 
     @property
     @abc.abstractmethod
@@ -41,16 +45,11 @@ class AbstractFamily(abc.ABC):
 
     @abc.abstractmethod
     def basis(self, time: Times, order: int = 0) -> Float[np.ndarray, "samples parameters"]:
-        """The derivative of that order of each basis function, (samples, m)."""
+        """Return the derivative of that order of each basis function, (samples, m)."""
 
     @abc.abstractmethod
     def bound(self, parameters: Parameters, order: int) -> Float[np.ndarray, " joints"]:
         """Bound the absolute derivative of that order, from 1, at all times, (joints,)."""
-
-    @property
-    @abc.abstractmethod
-    def smoothness(self) -> float:
-        """The highest order of a derivative that is continuous."""
 
     @property
     @abc.abstractmethod
@@ -60,16 +59,16 @@ class AbstractFamily(abc.ABC):
     def derivative(
         self, parameters: Parameters, time: Times, order: int = 0
     ) -> Float[Array | np.ndarray, "samples joints"]:
-        """Positions, or their derivative of that order, (samples, joints)."""
+        """Return positions, or their derivative of that order, (samples, joints)."""
         return self.basis(time, order) @ parameters
 
     def motion(self, parameters: Parameters, time: Times) -> tuple[Any, Any, Any]:
-        """`q`, `qd`, `qdd`, each (samples, joints)."""
+        """Return `q`, `qd`, `qdd`, each (samples, joints)."""
         q, qd, qdd = (self.derivative(parameters, time, order) for order in range(3))
         return q, qd, qdd
 
     def scaled(self, parameters: Parameters, factor: float) -> Parameters:
-        """The parameters of the motion with all displacements from its start times a factor."""
+        """Return parameters of the motion with displacements from its start times a factor."""
         factors = np.full((self.size, 1), float(factor))
         factors[0] = 1.0
         return factors * parameters
@@ -100,20 +99,21 @@ def sample_times(duration: float, rate: float) -> Times:
     return np.linspace(0.0, duration, int(np.ceil(duration * rate - 1e-9)) + 1)
 
 
-def check_duration(duration: float) -> None:
-    """**Raises** `ValueError` for a duration that is no time."""
+def _check(duration: float, name: str, count: int, least: int) -> None:
+    """**Raises** `ValueError` for a duration that is no time, or a count that is too small."""
     if not 0.0 < duration < np.inf:
         raise ValueError(f"duration is {duration}; expected more than 0 s")
+    if count < least:
+        raise ValueError(f"{name}: expected {least} or more, got {count}")
 
 
 @dataclasses.dataclass(frozen=True)
 class FourierSeries(AbstractFamily):
     """Sums of sines and cosines, periodic or not (Swevers et al. 1997).
 
-    A periodic motion ends where it starts; its frequencies are multiples of 1/duration. One that is
-    not periodic has a polynomial of fifth degree beside it. Of all coefficients, those are left
-    that start and end at rest with zero acceleration: an orthonormal basis of them are the
-    parameters.
+    A periodic motion ends where it starts; its frequencies are multiples of 1/duration. Otherwise a
+    polynomial of fifth degree is added. The parameters are those of an orthonormal basis of all
+    motions that start and end at rest with zero acceleration.
 
     **Attributes**
 
@@ -134,22 +134,17 @@ class FourierSeries(AbstractFamily):
     True
     """
 
+    smoothness: ClassVar[float] = np.inf
     duration: float
     harmonics: int = 6
     periodic: bool = True
 
     def __post_init__(self) -> None:
-        check_duration(self.duration)
-        if self.harmonics < 2:
-            raise ValueError(f"harmonics: expected 2 or more, got {self.harmonics}")
+        _check(self.duration, "harmonics", self.harmonics, 2)
 
     @property
     def size(self) -> int:
         return 1 + self._null.shape[1]
-
-    @property
-    def smoothness(self) -> float:
-        return np.inf
 
     @property
     def description(self) -> str:
@@ -187,9 +182,10 @@ class FourierSeries(AbstractFamily):
 
     @cached_property
     def _null(self) -> Float[np.ndarray, "functions free"]:
-        """Combinations of functions that are zero and at rest at the start, and at rest at the end:
-        the larger the frequency, the smaller, so that parameters of one size are accelerations of
-        one size."""
+        """Combinations of functions that start at zero, and start and end at rest.
+
+        They fall with frequency, so that parameters of one size are accelerations of one size.
+        """
         ends = np.array([0.0, self.duration])
         zero, velocity, acceleration = (self._functions(ends, order) for order in range(3))
         rows = [zero[:1], self.duration * velocity, self.duration**2 * acceleration]
@@ -200,10 +196,11 @@ class FourierSeries(AbstractFamily):
 
 @dataclasses.dataclass(frozen=True)
 class BSplines(AbstractFamily):
-    """Quintic B-splines of uniform intervals: the first and last three control points are equal, so
-    that the motion starts and ends at rest with zero acceleration.
+    """Quintic B-splines of uniform intervals.
 
-    The convex hull of a derivative's control points bounds it between samples too.
+    The first and last three control points are equal, so that the motion starts and ends at rest
+    with zero acceleration. The convex hull of a derivative's control points bounds it between
+    samples too.
 
     **Attributes**
 
@@ -223,21 +220,16 @@ class BSplines(AbstractFamily):
     [0.0, 1.0]
     """
 
+    smoothness: ClassVar[float] = _DEGREE - 1
     duration: float
     intervals: int = 20
 
     def __post_init__(self) -> None:
-        check_duration(self.duration)
-        if self.intervals < 3:
-            raise ValueError(f"intervals: expected 3 or more, got {self.intervals}")
+        _check(self.duration, "intervals", self.intervals, 3)
 
     @property
     def size(self) -> int:
         return self.intervals + 1  # of intervals + 5 control points, three are one at either end
-
-    @property
-    def smoothness(self) -> float:
-        return float(_DEGREE - 1)
 
     @property
     def description(self) -> str:
@@ -269,23 +261,20 @@ class BSplines(AbstractFamily):
         return scipy.interpolate.BSpline(knots, points, _DEGREE)
 
 
-_DEGREE = 5
-
-
 @dataclasses.dataclass(frozen=True)
 class MinimumJerkMoves(AbstractFamily):
-    """Moves from pose to pose, each along the quintic of least jerk (Flash and Hogan 1985), all of
-    one duration. Moves that overlap add up.
+    """Moves from pose to pose, each along the quintic of least jerk (Flash and Hogan 1985).
+
+    All moves have the same duration.
 
     **Attributes**
 
     - `duration`: of all moves [s].
     - `moves`: how many.
-    - `overlap`: part of a move, up to a half, during which the next has begun.
 
     **Raises**
 
-    - `ValueError`: a duration that is not positive, no moves, or another overlap.
+    - `ValueError`: a duration that is not positive, or no moves.
 
     >>> import numpy as np
     >>> from jaxcslc.excitation import MinimumJerkMoves
@@ -295,32 +284,24 @@ class MinimumJerkMoves(AbstractFamily):
     [0.0, 0.5, 1.0, 0.5]
     """
 
+    smoothness: ClassVar[float] = 2
     duration: float
     moves: int = 6
-    overlap: float = 0.0
 
     def __post_init__(self) -> None:
-        check_duration(self.duration)
-        if self.moves < 1:
-            raise ValueError(f"moves: expected 1 or more, got {self.moves}")
-        if not 0.0 <= self.overlap <= 0.5:
-            raise ValueError(f"overlap is {self.overlap}; expected from 0 to 0.5")
+        _check(self.duration, "moves", self.moves, 1)
 
     @property
     def size(self) -> int:
         return self.moves + 1
 
     @property
-    def smoothness(self) -> float:
-        return 2.0
-
-    @property
     def description(self) -> str:
         return f"{self.moves} minimum-jerk moves"
 
     def basis(self, time: Times, order: int = 0) -> Float[np.ndarray, "samples parameters"]:
-        span = self._span
-        phase = (np.asarray(time)[:, None] - self._starts) / span
+        span = self.duration / self.moves
+        phase = np.asarray(time)[:, None] / span - np.arange(self.moves)
         step = _QUINTIC.deriv(order)(np.clip(phase, 0.0, 1.0)) / span**order
         if order:  # where two moves meet, derivatives are those of the later one
             step = np.where((phase >= 0.0) & (phase < 1.0), step, 0.0)
@@ -335,20 +316,9 @@ class MinimumJerkMoves(AbstractFamily):
         poses = np.array(parameters, float)
         poses[0] = 0.0
         length = np.abs(np.diff(poses, axis=0))
-        if self.overlap:
-            length[:-1] += length[1:].copy()
-        return length.max(0) * _LARGEST[order] / self._span**order
-
-    @property
-    def _span(self) -> float:
-        """Duration of one move [s]."""
-        return self.duration / (1.0 + (self.moves - 1) * (1.0 - self.overlap))
-
-    @property
-    def _starts(self) -> Float[np.ndarray, " moves"]:
-        return np.arange(self.moves) * self._span * (1.0 - self.overlap)
+        return length.max(0) * _LARGEST[order] / (self.duration / self.moves) ** order
 
 
 _QUINTIC = np.polynomial.Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
-# The greatest derivatives of the quintic, by order.
+# Greatest absolute derivatives of the quintic within a move, by order: of the polynomial above.
 _LARGEST = (1.0, 1.875, 10.0 / np.sqrt(3.0), 60.0, 360.0, 720.0)

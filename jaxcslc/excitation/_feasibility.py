@@ -88,7 +88,7 @@ class Use:
 def without_jumps(
     network: CSLC, k: Float[np.ndarray, " coefficients"]
 ) -> Float[np.ndarray, " coefficients"]:
-    """(p,) coefficients, zeros for those of friction that jumps where a joint reverses."""
+    """Return coefficients (p,) with zeros for friction that jumps where a joint reverses."""
     layout, smooth = network.layout, np.array(k, float)
     for kind in layout.kinds:
         part = layout.of(kind)
@@ -108,9 +108,8 @@ class DenseCheck:
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.excitation import BSplines, DenseCheck, Limits
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(arm, lengths="numeric")
-    >>> limits = Limits.of(arm, {"position": [-1, 1], "velocity": 2, "torque": 5})
+    >>> network = jc.derive(jc.examples.turntable(), lengths="numeric")
+    >>> limits = Limits.of(network.robot, {"position": [-1, 1], "velocity": 2, "torque": 5})
     >>> family = BSplines(2.0, 4)
     >>> check = DenseCheck(network, np.array([0.5, 0.1, 0.1]), limits, family)
     >>> use = check.use(np.linspace(0.0, 1.2, family.size)[:, None])
@@ -151,13 +150,9 @@ class DenseCheck:
         for order, name in enumerate(QUANTITIES):
             middle, half = self.limits.symmetric(order)
             reached = np.abs(derivatives[order] - middle).max(0)
-            between = self.family.between_samples(parameters, order, self._interval)
-            if order:
-                # The family's bound holds at all times, and may be the smaller.
-                bound = self.family.bound(parameters, order)
-                reached = np.minimum(reached + between, bound)
-            else:
-                reached = reached + between
+            reached += self.family.between_samples(parameters, order, self._interval)
+            if order:  # the family's bound holds at all times, and may be the smaller
+                reached = np.minimum(reached, self.family.bound(parameters, order))
             joints[name] = reached / half
         if self._models is not None:
             joints |= self._torques(self._models, derivatives)
@@ -189,7 +184,7 @@ class DenseCheck:
         return uses
 
     def scaled(self, parameters: Parameters) -> tuple[Parameters, Use, float]:
-        """The largest motion about the same start that keeps all limits.
+        """Return the largest motion about the same start that keeps all limits.
 
         **Returns** its parameters, how much of the limits it uses, and by which factor it was
         shrunk.
@@ -221,18 +216,21 @@ class DenseCheck:
         return *best, low
 
     def within_kinematic_limits(self, parameters: Parameters, part: float = 1.0) -> Parameters:
-        """Each joint's motion shrunk until it keeps a part of its limits of position and
-        derivatives: these are linear in the parameters."""
+        """Shrink each joint's motion until it keeps a part of its kinematic limits.
+
+        These are linear in the parameters.
+        """
         parameters = np.array(parameters, float)
         start = parameters[0].copy()
         derivatives = [basis @ parameters for basis in self._basis]
         factor = np.ones(len(start))
         for order in range(4):
             middle, half = self.limits.symmetric(order)
-            change = derivatives[order] - (start if order == 0 else 0.0)
-            above = part * half - (start - middle if order == 0 else 0.0)
-            below = part * half + (start - middle if order == 0 else 0.0)
-            for largest, room in ((change.max(0), above), (-change.min(0), below)):
+            at_start = start if order == 0 else 0.0
+            change = derivatives[order] - at_start
+            for sign in (1.0, -1.0):
+                largest = (sign * change).max(0)
+                room = part * half - sign * (at_start - middle)
                 factor = np.minimum(factor, np.where(largest > 0, room / largest.clip(1e-12), 1.0))
         parameters[1:] *= np.clip(factor, 0.0, 1.0)
         return parameters

@@ -1,11 +1,12 @@
-"""Information of a motion about coefficients, by frequency, and predicted standard errors.
+"""Information of a motion about coefficients under noise, and the standard errors it predicts.
 
-`Noise` gives the errors of the equations; `_criteria` makes one number of the information.
+`Noise` describes the recording chain and the estimator, `MotionInformation` weights the equations
+of a motion by it, frequency by frequency. `_criteria` makes one number of the information.
 """
 
 import dataclasses
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import equinox as eqx
 import jax
@@ -13,21 +14,245 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..least_squares import Identification
 from ..network import CSLC
+from ..recordings import Sampling, decimation_for
 from ._families import Times
-from ._noise import Noise
 
 
-# Of whole motions, where nothing is differentiated. NumPy computes them, from the network's
-# expressions: for each of them, and each number of samples, XLA compiles for some seconds, which
-# is longer than all calls of a design take.
+Estimator = Literal["likelihood", "regression"]
+PerJoint = float | tuple[float, ...]
+
+# Of each joint's top speed: slower pairs of joint and sample count little, as masks or unknown
+# moments of reversals leave them out.
+_SLOW = {"likelihood": 0.005, "regression": 0.03}
+_FILTER_ORDER = 4  # of `parallel_filter`, in each of two passes
+
+
+@dataclasses.dataclass(frozen=True)
+class Noise:
+    """The noise of a recording chain, and the estimator that meets it.
+
+    Torque equations err by the noise of torques, and by that of positions: a reading that is wrong
+    by σ makes accelerations, from second differences, wrong by σ ω² at frequency ω, and torques by
+    M(q) times that. So the spectral density of equations' errors is
+
+        S(ω) = Sτ(ω) + ω⁴ M diag(σ²/rate) Mᵀ            [(N m)²/Hz], joints x joints
+
+    **Attributes**
+
+    - `torque`: standard deviation of each joint's torque [N m or N]; one number for all.
+    - `resolution`: of encoders [rad or m], whose rounding has σ = resolution / √12.
+    - `rate`: of the recording [Hz].
+    - `torque_bandwidth`: of a torque noise that is correlated in time, a first-order low pass [Hz];
+      one for all joints or one each, infinite for white noise. Errors of the model can be stated
+      so: measured residuals and the bandwidth in which they lie.
+    - `estimator`: `"likelihood"`, which weights each frequency by its noise (`MaximumLikelihood`,
+      whose bound the Cramér-Rao bound is); or `"regression"`, least squares of equations that are
+      low-passed alike at `cutoff`.
+    - `cutoff`: of `"regression"` [Hz].
+    - `offset`: standard deviation of a constant error of each joint's torque [N m or N]: friction
+      that differs between directions, offsets of sensors; one number for all.
+    - `slow`: speeds below this part of a joint's top speed count little; by default 0.005 and,
+      for `"regression"`, 0.03, as its masks are.
+
+    **Raises**
+
+    - `ValueError`: numbers out of range, or another estimator.
+
+    >>> from jaxcslc.excitation import Noise
+    >>> noise = Noise(torque=0.1, resolution=1e-4)
+    >>> noise.position_deviation(2).round(7).tolist(), noise.slow_fraction
+    ([2.89e-05, 2.89e-05], 0.005)
+    """
+
+    torque: PerJoint
+    resolution: PerJoint = 0.0
+    rate: float = 500.0
+    torque_bandwidth: PerJoint = np.inf
+    estimator: str = "likelihood"
+    cutoff: float = 15.0
+    slow: float | None = None
+    offset: PerJoint = 0.0
+
+    def __post_init__(self) -> None:
+        if self.estimator not in get_args(Estimator):
+            raise ValueError(
+                f"estimator: expected {' or '.join(get_args(Estimator))}, got {self.estimator!r}"
+            )
+        for name, least in (("torque", "above"), ("resolution", "from"), ("offset", "from")):
+            values = np.atleast_1d(getattr(self, name))
+            usable = (values > 0.0) if least == "above" else (values >= 0.0)
+            if not (usable & np.isfinite(values)).all():
+                raise ValueError(f"{name} noise is {values.tolist()}; expected numbers {least} 0")
+        for name in ("rate", "cutoff"):
+            value = getattr(self, name)
+            if not 0.0 < value < np.inf:
+                raise ValueError(f"{name} is {value}; expected more than 0 Hz")
+        if not np.all(np.atleast_1d(self.torque_bandwidth) > 0.0):
+            raise ValueError(
+                f"torque_bandwidth is {self.torque_bandwidth}; expected more than 0 Hz"
+            )
+        if self.slow is not None and not 0.0 <= self.slow < 1.0:
+            raise ValueError(f"slow is {self.slow}; expected from 0 to below 1")
+
+    @classmethod
+    def of_fit(
+        cls,
+        fit: Identification,
+        sampling: Sampling | None,
+        *,
+        cutoff: float | None = None,
+        **stated: Any,
+    ) -> "Noise":
+        """Estimate the noise from an earlier identification's residuals and their correlation.
+
+        A joint's n residuals at a rate of r in a second, worth m independent ones, are those of a
+        first-order low pass of the bandwidth b for which, with x = r / (2 b),
+
+            m / n = (2 / x) atan²(x) / (atan x + x / (1 + x²)),
+
+        which is (∫ S df)² / (r ∫ S² df) over the band of the equations, of S = 1 / (1 + (f/b)²)
+        (Bartlett's count, as `Identification.effective_equations` has it): 1 of white noise,
+        2 π b / r of slow noise.
+
+        **Arguments**
+
+        - `fit`: the identification.
+        - `sampling`: of its recording; None if unknown.
+        - `cutoff`: of the low pass of its equations [Hz]; None if they were not filtered.
+        - `stated`: attributes that are known better.
+
+        >>> import dataclasses, numpy as np, jaxcslc as jc
+        >>> from jaxcslc.excitation import Noise
+        >>> network = jc.derive(jc.examples.turntable(), lengths="numeric")
+        >>> exact = jc.examples.swing(network, [0.5, 0.2, 0.1], samples=2500, time_step=0.002)
+        >>> error = 0.1 * np.random.default_rng(0).normal(size=exact.torque.shape)
+        >>> patterns = dataclasses.replace(exact, torque=exact.torque + error)
+        >>> noise = Noise.of_fit(jc.LeastSquares().fit(network, patterns), None, rate=500.0)
+        >>> noise.torque_bandwidth, round(noise.torque[0], 2)
+        ((inf,), 0.1)
+        """
+        fields: dict[str, Any] = {}
+        if sampling is not None:
+            fields |= {"resolution": sampling.resolution, "rate": 1.0 / sampling.interval}
+        if cutoff is not None:
+            fields["cutoff"] = cutoff
+        fields |= stated
+        rate = float(fields.get("rate", cls.rate))
+        of_equations = rate if cutoff is None else rate / decimation_for(cutoff, 1.0 / rate)
+        count, error = np.asarray(fit.equations), np.asarray(fit.torque_error, float)
+        worth = np.asarray(fit.effective_equations) / np.maximum(count, 1.0)
+        bandwidth, seen = _low_pass(np.where(count > 0.0, worth, 1.0), of_equations)
+        white = np.isinf(bandwidth)
+        error = np.where(white, error * np.sqrt(rate / of_equations), error / np.sqrt(seen))
+        error = np.maximum(error, 1e-9 * error.max())
+        correlated: dict[str, Any] = {
+            "torque": tuple(error.tolist()),
+            "torque_bandwidth": tuple(bandwidth.tolist()),
+        }
+        return cls(**(correlated | fields))
+
+    @property
+    def slow_fraction(self) -> float:
+        """`slow`, or its default."""
+        return _SLOW[self.estimator] if self.slow is None else self.slow
+
+    def torque_deviation(self, joints: int) -> Float[np.ndarray, " joints"]:
+        """Return the standard deviation of each joint's torque noise [N m or N]."""
+        return _per_joint("torque noise", self.torque, joints)
+
+    def position_deviation(self, joints: int) -> Float[np.ndarray, " joints"]:
+        """Return the standard deviation of each joint's readings [rad or m]."""
+        return _per_joint("resolution", self.resolution, joints) / np.sqrt(12.0)
+
+    def offset_deviation(self, joints: int) -> Float[np.ndarray, " joints"]:
+        """Return the standard deviation of each joint's offset [N m or N]."""
+        return _per_joint("offset", self.offset, joints)
+
+    @property
+    def efficient(self) -> bool:
+        """True if the estimator's weights are those of all errors."""
+        return self.estimator == "likelihood" and not np.any(self.offset)
+
+    def density(
+        self,
+        frequency: Float[np.ndarray, " frequencies"],
+        mass_square: Float[np.ndarray, "joints joints"],
+    ) -> Float[np.ndarray, "frequencies joints joints"]:
+        """Return the spectral density of errors of torque equations, S of the class [(N m)²/Hz].
+
+        Offsets, whose density is all at zero, are left out.
+
+        **Arguments**
+
+        - `frequency`: [Hz].
+        - `mass_square`: M diag(σ²) Mᵀ of the positions' deviations, averaged over the motion.
+        """
+        joints = len(mass_square)
+        variance = self.torque_deviation(joints) ** 2
+        b = _per_joint("torque_bandwidth", self.torque_bandwidth, joints)
+        slow = np.isfinite(b)
+        low = np.where(slow, b, 1.0)
+        # Of a first-order low pass, its integral over both signs of the frequency the variance.
+        low_passed = 1.0 / (np.pi * low) / (1.0 + (frequency[:, None] / low) ** 2)
+        of_torque = variance * np.where(slow, low_passed, 1.0 / self.rate)
+        fourth = (2.0 * np.pi * frequency) ** 4
+        return (
+            of_torque[:, :, None] * np.eye(joints) + fourth[:, None, None] * mass_square / self.rate
+        )
+
+    def gain(self, frequency: Float[np.ndarray, " frequencies"]) -> Float[np.ndarray, " _"]:
+        """Return the gain of the filter through which `"regression"` sees its equations."""
+        return 1.0 / (1.0 + (frequency / self.cutoff) ** (2 * _FILTER_ORDER))
+
+
+_WHITE = 0.9  # residuals worth more than this part of their number are white
+_RATIOS = np.geomspace(0.01, 1e6, 2000)  # x, of half a rate to a bandwidth, that are looked up
+
+
+def _low_pass(
+    worth: Float[np.ndarray, " joints"], rate: float
+) -> tuple[Float[np.ndarray, " joints"], Float[np.ndarray, " joints"]]:
+    """Return the bandwidths [Hz] of low passes whose samples are worth a part of their number.
+
+    They are infinite for white noise. The part of their variance in the samples' band comes second.
+    """
+    angle = np.arctan(_RATIOS)
+    of_ratios = 2.0 / _RATIOS * angle**2 / (angle + _RATIOS / (1.0 + _RATIOS**2))
+    x = np.interp(-np.clip(worth, of_ratios[-1], 1.0), -of_ratios, _RATIOS)
+    return np.where(worth > _WHITE, np.inf, rate / (2.0 * x)), 2.0 / np.pi * np.arctan(x)
+
+
+def _per_joint(name: str, values: PerJoint, joints: int) -> Float[np.ndarray, " joints"]:
+    """Return one number per joint. **Raises** `ValueError` for neither one nor as many."""
+    numbers = np.atleast_1d(np.asarray(values, float))
+    if numbers.shape not in ((1,), (joints,)):
+        raise ValueError(f"{name}: expected one number or {joints}, got {numbers.size}")
+    return np.broadcast_to(numbers, (joints,)).copy()
+
+
+Motion = tuple[Any, Any, Any]
+Square = Float[np.ndarray, "coefficients coefficients"]
+
+
+# Sizes of coefficients: standard errors near that are of those that nothing determines.
+UNDETERMINED = 1e3
+SMALLEST_SHARE = 0.01  # of a joint's torque limit, by definition of size (docs/excitation.md)
+
+
 States = Float[Array | np.ndarray, "samples joints"]
 
 
 def regressor_of(
     network: CSLC, q: States, qd: States, qdd: States
 ) -> Float[np.ndarray, "samples joints coefficients"]:
-    """The regressor of a motion; compiled for terms of which NumPy cannot compute columns."""
+    """Return the regressor of a whole motion.
+
+    NumPy computes it, from the network's expressions. XLA compiles for some seconds for each number
+    of samples, which is longer than all calls of a design take. It serves terms of which NumPy
+    cannot compute columns.
+    """
     if not network.has_host_columns:
         return np.asarray(_regressor(network, *(jnp.asarray(x) for x in (q, qd, qdd))))
     columns = _columns(network, q, qd, qdd)
@@ -40,7 +265,7 @@ def regressor_of(
 def torques_of(
     network: CSLC, k: Float[np.ndarray, "models coefficients"], q: States, qd: States, qdd: States
 ) -> Float[np.ndarray, "models samples joints"]:
-    """Torques of a motion by several models, a row of `k` each."""
+    """Return the torques of a motion by several models, a row of `k` each."""
     if not network.has_host_columns:
         return np.einsum("sjp,mp->msj", regressor_of(network, q, qd, qdd), k)
     columns = _columns(network, q, qd, qdd)
@@ -53,11 +278,13 @@ def torques_of(
 def mass_matrices_of(
     network: CSLC, k: Float[np.ndarray, " coefficients"], q: States
 ) -> Float[np.ndarray, "samples joints joints"]:
-    """M(q): what torques at rest change by with unit accelerations, joint by joint."""
-    zero, joints = np.zeros_like(q), np.eye(q.shape[1])
-    of_gravity = torques_of(network, k[None], q, zero, zero)[0]
-    columns = [torques_of(network, k[None], q, zero, zero + unit)[0] for unit in joints]
-    return np.stack(columns, axis=-1) - of_gravity[..., None]
+    """Return M(q), by which torques at rest change with unit accelerations, joint by joint."""
+    zero = np.zeros_like(q)
+    gravity, *columns = (
+        torques_of(network, k[None], q, zero, zero + acceleration)[0]
+        for acceleration in (0.0, *np.eye(q.shape[1]))
+    )
+    return np.stack(columns, axis=-1) - gravity[..., None]
 
 
 def _columns(
@@ -70,14 +297,6 @@ def _columns(
 @eqx.filter_jit
 def _regressor(network: CSLC, q: Any, qd: Any, qdd: Any) -> Any:
     return network.regressor(q, qd, qdd)
-
-
-Motion = tuple[Any, Any, Any]
-Square = Float[np.ndarray, "coefficients coefficients"]
-
-
-# Sizes of coefficients: standard errors near that are of those that nothing determines.
-UNDETERMINED = 1e3
 
 
 class Spectra(NamedTuple):
@@ -109,10 +328,10 @@ class Moments(NamedTuple):
 
 
 class MotionInformation(eqx.Module):
-    """The information that a motion will have about the coefficients of a network.
+    """Information that a motion will have about the coefficients of a network.
 
     Equations over time are taken to frequencies (a cosine transform, as the motion does not close),
-    where noise that is stationary is independent. At each frequency they are weighted by the
+    where stationary noise is independent. At each frequency they are weighted by the
     estimator: by the inverse density of their errors, or by the low pass of a regression. Errors of
     positions reach torques by the mass matrix, averaged over the motion.
 
@@ -126,13 +345,12 @@ class MotionInformation(eqx.Module):
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.excitation import MotionInformation, Noise
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(arm, lengths="numeric")
+    >>> network = jc.derive(jc.examples.turntable(), lengths="numeric")
     >>> k = np.array([0.5, 0.2, 0.1])
     >>> information = MotionInformation(network, k, k, Noise(0.1, 1e-4), 0.01)
-    >>> t = np.arange(500)[:, None] * 0.01
-    >>> motion = np.sin(3 * t), 3 * np.cos(3 * t), -9 * np.sin(3 * t)
-    >>> moments = information.moments(motion, information.spectra(motion[0]))
+    >>> motion = jc.examples.swing(network, k)
+    >>> q, qd, qdd = motion.q, motion.qd, motion.qdd
+    >>> moments = information.moments((q, qd, qdd), information.spectra(q))
     >>> bool(np.all(np.linalg.eigvalsh(moments.normal) > 0.0))  # determines all coefficients
     True
     """
@@ -196,9 +414,10 @@ class MotionInformation(eqx.Module):
 
 
 def error_covariance(moments: Moments, prior: Any) -> Any:
-    """(p, p) covariance of coefficients in units of their sizes, with prior information (p, p).
+    """Return the covariance of coefficients in units of their sizes, (p, p).
 
-    (H + Λ)⁻¹ (G + Λ) (H + Λ)⁻¹; for an efficient estimator (H + Λ)⁻¹.
+    With prior information Λ (p, p) it is (H + Λ)⁻¹ (G + Λ) (H + Λ)⁻¹. Of an efficient estimator,
+    that is (H + Λ)⁻¹.
     """
     total = moments.normal + prior
     # Units in which the matrix has a unit diagonal: inverses then lose the fewest digits.
@@ -265,37 +484,16 @@ class Prediction:
             for i in order
         ]
 
-    def rows(self) -> list[dict[str, Any]]:
-        """Return one row per coefficient."""
-        return [
-            {
-                "name": name,
-                "unit": unit,
-                "prior": float(self.k[i]),
-                "error_before": float(self.before[i]),
-                "predicted_error": float(self.standard_error[i]),
-                "relative": float(self.relative_error[i]),
-            }
-            for i, (name, unit) in enumerate(zip(self.names, self.units, strict=True))
-        ]
-
 
 def _interval(relative: float) -> str:
-    """Half of a 95 % interval."""
+    """Return half of a 95 % interval as text."""
     return f"±{196 * relative:.2g} %" if np.isfinite(relative) else "not determined"
 
 
-def condition_of(products: Square) -> float:
-    """The condition number of a matrix from the products of its columns."""
-    values = np.linalg.eigvalsh(np.asarray(products))
+def condition_number(products: Square) -> float:
+    """Return the condition number of a matrix from the products of its columns."""
+    values = np.linalg.eigvalsh(products)
     return float(np.sqrt(values[-1] / values[0])) if values[0] > 0.0 else np.inf
-
-
-def column_scaled(products: Square) -> Square:
-    """The products of the columns at unit length."""
-    length = np.sqrt(np.maximum(np.diag(products), 0.0))
-    length = np.where(length > 0.0, length, 1.0)
-    return products / np.outer(length, length)
 
 
 def coefficient_sizes(
@@ -303,12 +501,11 @@ def coefficient_sizes(
     k: Float[np.ndarray, " coefficients"],
     motion: Motion,
     torque: Float[np.ndarray, " joints"],
-    share: float = 0.01,
 ) -> Float[np.ndarray, " coefficients"]:
-    """The size of each coefficient: its absolute value, or what makes a part of a joint's torque.
+    """Return the size of each coefficient: its absolute value, or what makes 1 % of a torque.
 
-    A coefficient that is zero by chance, or not known yet, has the size that would make `share` of
-    some joint's torque over a motion.
+    A coefficient that is zero by chance, or not known yet, has the size that would make
+    `SMALLEST_SHARE` of some joint's torque over a motion.
 
     **Arguments**
 
@@ -319,11 +516,11 @@ def coefficient_sizes(
     regressor = regressor_of(network, *motion)
     column = np.sqrt(np.mean(regressor**2, axis=0)) / torque[:, None]
     largest = column.max(axis=0)
-    least = share / np.where(largest > 0.0, largest, np.inf)
+    least = SMALLEST_SHARE / np.where(largest > 0.0, largest, np.inf)
     return np.maximum(np.abs(k), np.where(least > 0.0, least, 1.0))
 
 
 def time_grid(duration: float, interval: float) -> tuple[Times, float]:
-    """Times of about that interval over the whole duration, and their interval."""
+    """Return times of about that interval over the whole duration, and their interval."""
     count = max(round(duration / interval), 2)
     return np.linspace(0.0, duration, count + 1), duration / count

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +21,38 @@ _TO_SPEED, _TO_ACCELERATION = 0.2, 0.05
 _NAMES = ("position", "velocity", "acceleration", "jerk", "torque", "power")
 _MARGINS = ("position_margin", "torque_margin")
 _ROBOTS = Path(__file__).parent / "robots"
-DISTANCES = ("mujoco", "coal")
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
+
+
+@dataclasses.dataclass(frozen=True)
+class Surroundings:
+    """Surroundings from which the robot's bodies must keep away.
+
+    **Attributes**
+
+    - `clearance`: the least distance of bodies from others and from obstacles [m].
+    - `self_collision`: whether the robot's bodies keep away from each other.
+    - `floor`: the height of a floor in the base frame [m]; None without one.
+    - `workspace`: corners (low, high) of a box in the base frame that no body leaves [m].
+    - `boxes`: obstacles as (centre, full size), `spheres` as (centre, radius) [m].
+    - `radius`: of a capsule along each link [m], for robots whose file has no shapes; None for
+      those of the file.
+    - `ignore`: pairs of bodies' names that may touch.
+    """
+
+    clearance: float = 0.02
+    self_collision: bool = True
+    floor: float | None = None
+    workspace: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    boxes: tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] = ()
+    spheres: tuple[tuple[tuple[float, ...], float], ...] = ()
+    radius: float | tuple[float, ...] | None = None
+    ignore: tuple[tuple[str, str], ...] = ()
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Limits:
-    """Limits that joints must not exceed.
+    """Limits that joints must not exceed, and surroundings to keep away from.
 
     **Attributes**
 
@@ -37,6 +62,7 @@ class Limits:
       Infinite where there is none.
     - `torque_margin`: the part of torque and power that is kept back for errors of the model.
     - `notes`: sentences about limits that nobody stated.
+    - `surroundings`: bodies that must not collide; not watched if None.
 
     **Raises**
 
@@ -58,9 +84,10 @@ class Limits:
     power: Joints
     torque_margin: float = 0.1
     notes: tuple[str, ...] = ()
+    surroundings: Surroundings | None = None
 
     def __post_init__(self) -> None:
-        for name in (*QUANTITIES[1:], "torque", "power"):
+        for name in _NAMES[1:]:
             wrong = np.flatnonzero(~(getattr(self, name) > 0.0))
             if wrong.size:
                 value = getattr(self, name)[wrong[0]]
@@ -78,10 +105,15 @@ class Limits:
             raise ValueError(f"torque_margin is {self.torque_margin}; expected from 0 to below 1")
 
     @classmethod
-    def of(cls, robot: Manipulator, stated: Mapping[str, Any] | None = None) -> "Limits":
-        """Limits of a robot: those of its file, and what is stated beside them.
+    def of(
+        cls,
+        robot: Manipulator,
+        stated: Mapping[str, Any] | None = None,
+        surroundings: Surroundings | None = None,
+    ) -> "Limits":
+        """Return the limits of a robot: those stated, else those of its file.
 
-        Of the joints that follow none, where some follow others.
+        Where some joints follow others, they are those of the independent joints.
 
         **Arguments**
 
@@ -90,24 +122,24 @@ class Limits:
         - `stated`: by name, as the attributes and `"position"`, pairs of lowest and highest; one
           number (or pair) for all joints, or one each. `"position_margin"` is kept back of ranges
           at both ends, for errors of the controller [rad or m].
+        - `surroundings`: that are watched.
 
         **Raises**
 
         - `ValueError`: a limit of position or velocity that is missing, an unknown name, a wrong
           number of values.
         """
-        names = [robot.joint_names[i] for i in robot.independent_joints]
+        joints = robot.independent_joints
+        names = [robot.joint_names[i] for i in joints]
         n = len(names)
-        known: dict[str, Any] = {}
-        unlimited = [False] * n
+        free: list[str] = []
         file = _ROBOTS / f"{''.join(robot.name.lower().split())}.toml"
         if (robot.source is None or robot.source.format == "toml") and file.exists():
             known = tomllib.loads(file.read_text(encoding="utf-8"))["joints"]
         else:
-            unlimited = _unlimited(robot)
-            known = _of_file(robot, unlimited)
+            known, free = _of_file(robot)
         if stated and "position" in stated:
-            unlimited = [False] * n
+            free = []
         known |= stated or {}
         expected = (*_NAMES, *_MARGINS)
         if unknown := sorted(known.keys() - set(expected)):
@@ -116,10 +148,7 @@ class Limits:
             )
         margin = _numbers("position_margin", known.get("position_margin", 0.0), n)
         position = _pairs(known.get("position"), n) + margin[:, None] * [1.0, -1.0]
-        values = {
-            name: _numbers(name, known.get(name, math.inf), n)
-            for name in ("velocity", "acceleration", "jerk", "torque", "power")
-        }
+        values = {name: _numbers(name, known.get(name, math.inf), n) for name in _NAMES[1:]}
         missing = ~np.isfinite(values["velocity"])
         if missing.any():
             name = names[int(np.argmax(missing))]
@@ -128,7 +157,7 @@ class Limits:
                 " robot's file, or velocity in [joints] of a file of limits (docs/excitation.md)"
             )
         notes: list[str] = []
-        if free := [name for name, whole_turn in zip(names, unlimited, strict=True) if whole_turn]:
+        if free:
             notes.append(f"position: not stated of {', '.join(free)}; from -pi to pi rad")
         for name, before, time in (
             ("acceleration", "velocity", _TO_SPEED),
@@ -143,8 +172,9 @@ class Limits:
             position[:, 0],
             position[:, 1],
             **values,
-            torque_margin=_margin(known.get("torque_margin", 0.1)),
+            torque_margin=float(_numbers("torque_margin", known.get("torque_margin", 0.1), 1)[0]),
             notes=tuple(notes),
+            surroundings=surroundings,
         )
 
     @property
@@ -153,7 +183,7 @@ class Limits:
         return (self.low + self.high) / 2
 
     def symmetric(self, order: int) -> tuple[Joints, Joints]:
-        """Middle and half width of the range of a derivative of that order, (n,) each."""
+        """Return middle and half width of the range of a derivative of that order, (n,) each."""
         if order == 0:
             return self.middle, (self.high - self.low) / 2
         return np.zeros(len(self.low)), getattr(self, QUANTITIES[order])
@@ -169,46 +199,7 @@ class Limits:
         return self.power * (1.0 - self.torque_margin)
 
 
-@dataclasses.dataclass(frozen=True)
-class Surroundings:
-    """Surroundings from which the robot's bodies must keep away.
-
-    **Attributes**
-
-    - `clearance`: the least distance of bodies from others and from obstacles [m].
-    - `self_collision`: whether the robot's bodies keep away from each other.
-    - `floor`: the height of a floor in the base frame [m]; None without one.
-    - `workspace`: corners (low, high) of a box in the base frame that no body leaves [m].
-    - `boxes`: obstacles as (centre, full size), `spheres` as (centre, radius) [m].
-    - `radius`: of a capsule along each link [m], for robots whose file has no shapes; None for
-      those of the file.
-    - `ignore`: pairs of bodies' names that may touch.
-    - `distances`: by `"mujoco"`, or by `"coal"`, the library beside Pinocchio (extra `collision`).
-
-    **Raises**
-
-    - `ValueError`: distances by something else.
-    """
-
-    clearance: float = 0.02
-    self_collision: bool = True
-    floor: float | None = None
-    workspace: tuple[tuple[float, ...], tuple[float, ...]] | None = None
-    boxes: tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] = ()
-    spheres: tuple[tuple[tuple[float, ...], float], ...] = ()
-    radius: float | tuple[float, ...] | None = None
-    ignore: tuple[tuple[str, str], ...] = ()
-    distances: str = "mujoco"
-
-    def __post_init__(self) -> None:
-        if self.distances not in DISTANCES:
-            raise ValueError(
-                f"surroundings, distances: expected {' or '.join(DISTANCES)}, got"
-                f" {self.distances!r}"
-            )
-
-
-def load_limits(path: str | Path, robot: Manipulator) -> tuple[Limits, Surroundings | None]:
+def load_limits(path: str | Path, robot: Manipulator) -> Limits:
     """Read limits from a TOML file.
 
     Tables `[joints]` with `position`, `velocity`, `acceleration`, `jerk`, `torque`, `power`,
@@ -225,8 +216,8 @@ def load_limits(path: str | Path, robot: Manipulator) -> tuple[Limits, Surroundi
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "limits.toml"
     ...     _ = path.write_text("[joints]\\nvelocity = 1.5\\n[surroundings]\\nfloor = -0.6\\n")
-    ...     limits, surroundings = load_limits(path, jc.puma560())
-    >>> limits.velocity[0].item(), surroundings.floor
+    ...     limits = load_limits(path, jc.puma560())
+    >>> limits.velocity[0].item(), limits.surroundings.floor
     (1.5, -0.6)
     """
     path = Path(path)
@@ -237,9 +228,9 @@ def load_limits(path: str | Path, robot: Manipulator) -> tuple[Limits, Surroundi
         if not isinstance(table, dict):
             raise ValueError(f"{path}, {name}: expected a table, got {table!r}")
     try:
-        limits = Limits.of(robot, document.get("joints"))
         table = document.get("surroundings")
-        return limits, None if table is None else _surroundings(table)
+        surroundings = None if table is None else _surroundings(table)
+        return Limits.of(robot, document.get("joints"), surroundings)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
@@ -277,25 +268,26 @@ def _frozen(value: Any) -> Any:
     return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
-def _unlimited(robot: Manipulator) -> list[bool]:
-    """Joints that turn, and of whose range the file says nothing."""
-    return [
-        robot.kinds[i] == "R" and math.isinf(robot.joint_limits[i].low)
+def _of_file(robot: Manipulator) -> tuple[dict[str, Any], list[str]]:
+    """Return the limits of the robot's file, and the names of joints without a range.
+
+    These turn, and get one turn.
+    """
+    limits = {robot.joint_names[i]: robot.joint_limits[i] for i in robot.independent_joints}
+    free = [
+        robot.joint_names[i]
         for i in robot.independent_joints
+        if robot.kinds[i] == "R" and math.isinf(robot.joint_limits[i].low)
     ]
-
-
-def _of_file(robot: Manipulator, unlimited: Sequence[bool]) -> dict[str, Any]:
-    """Return the limits that the robot's file states, and one turn where it states no range."""
-    limits = [robot.joint_limits[i] for i in robot.independent_joints]
-    return {
+    known = {
         "position": [
-            [-math.pi, math.pi] if free else [limit.low, limit.high]
-            for limit, free in zip(limits, unlimited, strict=True)
+            [-math.pi, math.pi] if name in free else [limit.low, limit.high]
+            for name, limit in limits.items()
         ],
-        "velocity": [limit.speed for limit in limits],
-        "torque": [limit.torque for limit in limits],
+        "velocity": [limit.speed for limit in limits.values()],
+        "torque": [limit.torque for limit in limits.values()],
     }
+    return known, free
 
 
 def _numbers(name: str, value: Any, joints: int) -> Joints:
@@ -315,9 +307,3 @@ def _pairs(value: Any, joints: int) -> Float[np.ndarray, "joints 2"]:
             f"limits, position: expected one pair of lowest and highest or {joints}, got {value!r}"
         )
     return np.broadcast_to(pairs, (joints, 2)).copy()
-
-
-def _margin(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"limits, torque_margin: expected a number, got {value!r}")
-    return float(value)

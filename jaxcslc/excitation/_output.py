@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +30,8 @@ from ..report import (
 from ._criteria import EXPLANATIONS
 from ._families import AbstractFamily, Parameters
 from ._feasibility import Use
-from ._information import Prediction, time_grid
+from ._information import Noise, Prediction, time_grid
 from ._limits import Limits
-from ._noise import Noise
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -67,20 +67,30 @@ class Design:
     def sampled(
         self, rate: float | None = None
     ) -> tuple[Float[np.ndarray, " samples"], tuple[Float[np.ndarray, "samples joints"], ...]]:
-        """Times, and `q`, `qd`, `qdd` then; by default at the recording's rate [Hz]."""
+        """Return sample times, and `q`, `qd`, `qdd`; by default at the recording's rate [Hz]."""
         time, _ = time_grid(self.family.duration, 1.0 / (rate or self.noise.rate))
         motion = self.family.motion(np.asarray(self.parameters, float), time)
         return time, tuple(np.asarray(x) for x in motion)
+
+    def relative_errors(self) -> dict[str, float]:
+        """Return standard errors over sizes of the wanted coefficients that are determined."""
+        relative, determined = self.prediction.relative_error, self.prediction.determined
+        indices = {name: self.network.names.index(name) for name in self.wanted}
+        return {name: float(relative[i]) for name, i in indices.items() if determined[i]}
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Names of the wanted coefficients that neither the motion nor what is known determines."""
+        return tuple(name for name in self.wanted if name not in self.relative_errors())
 
     def seconds_for(self, relative: float) -> float:
         """Return how long to repeat this motion to reach a relative standard error [s].
 
         It must hold for all wanted coefficients; infinite where the motion does not determine one.
         """
-        indices = [self.network.names.index(name) for name in self.wanted]
-        if not self.prediction.determined[indices].all():
+        if self.undetermined:
             return np.inf
-        worst = float(np.max(self.prediction.relative_error[indices]))
+        worst = max(self.relative_errors().values())
         return self.family.duration * max(worst / relative, 1e-12) ** 2
 
     def __str__(self) -> str:
@@ -89,31 +99,17 @@ class Design:
             f"{self.criterion} ({EXPLANATIONS[self.criterion]}): {self.value:.4g}",
             f"condition number {self.prediction.condition:.4g}, of columns of unit length"
             f" {self.prediction.scaled_condition:.4g}",
-            *self._errors(),
-            str(self.use),
-            *(f"note: {note}" for note in self.notes),
         ]
-        return "\n".join(lines)
-
-    @property
-    def undetermined(self) -> tuple[str, ...]:
-        """Names of the wanted coefficients that neither the motion nor what is known determines."""
-        open_ = ~self.prediction.determined
-        return tuple(name for name in self.wanted if open_[self.network.names.index(name)])
-
-    def _errors(self) -> list[str]:
-        names = [name for name in self.wanted if name not in self.undetermined]
-        indices = [self.network.names.index(name) for name in names]
-        relative = 100 * self.prediction.relative_error[indices]
-        lines: list[str] = []
-        if names:
+        if errors := self.relative_errors():
+            worst = max(errors, key=lambda name: errors[name])
+            median = np.median([*errors.values()])
             lines.append(
-                f"predicted standard errors over sizes: median {np.median(relative):.3g} %,"
-                f" largest {np.max(relative):.3g} % ({names[int(np.argmax(relative))]})"
+                f"predicted standard errors over sizes: median {100 * median:.3g} %,"
+                f" largest {100 * errors[worst]:.3g} % ({worst})"
             )
         if self.undetermined:
             lines.append(f"not determined by this motion: {', '.join(self.undetermined)}")
-        return lines
+        return "\n".join([*lines, str(self.use), *(f"note: {note}" for note in self.notes)])
 
 
 _PAGE_RATE = 50.0  # of curves [Hz]
@@ -123,7 +119,7 @@ _QUANTITIES = (("Position", "rad"), ("Velocity", "rad/s"), ("Acceleration", "rad
 
 
 def design_page(design: Design, command: str = "") -> str:
-    """A page of a design: what it will bring, the motion against its limits, margins."""
+    """Return a page with predicted intervals, the motion against its limits, and margins."""
     headline, left = _headline(design), design.undetermined
     sections = [_predicted(design), *_film(design), *_motion(design), _margins(design)]
     if command:
@@ -143,35 +139,23 @@ def design_page(design: Design, command: str = "") -> str:
 
 
 def _headline(design: Design) -> str:
-    names = [name for name in design.wanted if name not in design.undetermined]
     spent = f"{design.family.duration:g} s of this motion determine"
-    if not names:
+    if not (errors := design.relative_errors()):
         return f"{spent} none of the coefficients."
-    indices = [design.network.names.index(name) for name in names]
-    relative = 100 * design.prediction.relative_error[indices]
-    worst = int(np.argmax(relative))
+    worst = max(errors, key=lambda name: errors[name])
+    median = 100 * np.median([*errors.values()])
     return (
-        f"{spent} {len(names)} coefficients to {np.median(relative):.2g} % of their size (median),"
-        f" {names[worst]} to {relative[worst]:.2g} %."
+        f"{spent} {len(errors)} coefficients to {median:.2g} % of their size (median),"
+        f" {worst} to {100 * errors[worst]:.2g} %."
     )
 
 
 def _predicted(design: Design) -> Section:
-    rows = tuple(
-        (
-            row["name"],
-            row["unit"],
-            row["prior"],
-            196 * row["error_before"] / size,
-            196 * row["relative"] if known else float("inf"),
-        )
-        for row, size, known in zip(
-            design.prediction.rows(),
-            design.prediction.size,
-            design.prediction.determined.tolist(),
-            strict=True,
-        )
-    )
+    prediction = design.prediction
+    before = 196 * prediction.before / prediction.size
+    after = np.where(prediction.determined, 196 * prediction.relative_error, np.inf)
+    values = (prediction.k.tolist(), before.tolist(), after.tolist())
+    rows = tuple(zip(prediction.names, prediction.units, *values, strict=True))
     columns = (
         Column("coefficient", numeric=False),
         Column("unit", numeric=False),
@@ -182,8 +166,8 @@ def _predicted(design: Design) -> Section:
     lead = (
         f"Designed for: {design.criterion}, {EXPLANATIONS[design.criterion]}; reached"
         f" {design.value:.4g}. The condition number of the regressor is"
-        f" {design.prediction.condition:.4g}, with columns of unit length"
-        f" {design.prediction.scaled_condition:.4g}."
+        f" {prediction.condition:.4g}, with columns of unit length"
+        f" {prediction.scaled_condition:.4g}."
     )
     return Section("Predicted intervals", lead, (Table(columns, rows, name="predicted"),))
 
@@ -267,7 +251,7 @@ def _margins(design: Design) -> Section:
 def save_design(
     design: Design, path: str | Path, *, rate: float | None = None, command: str = ""
 ) -> tuple[Path, ...]:
-    """Write a motion as `NAME.csv` and, beside it, in the forms that controllers read.
+    """Write a motion as `NAME.csv`, and next to it in the forms that controllers read.
 
     - `NAME.csv`: columns `time`, `position_1`, ..., `velocity_1`, ..., `acceleration_1`, ..., or by
       the joints' names where they have some; SI units.
@@ -289,12 +273,14 @@ def save_design(
     - `OSError`: files cannot be written.
     """
     paths = design_files(path)
-    time, (q, qd, qdd) = design.sampled(rate)
+    network, (time, motion) = design.network, design.sampled(rate)
+    points, names = trajectory_points(time, *motion), network.output_names
+    message = {"header": {"frame_id": ""}, "joint_names": names, "points": points}
     texts = (
-        csv_text(design.network, time, q, qd, qdd),
-        trajectory_yaml(design.network, time, q, qd, qdd),
-        trajectory_json(design.network, time, q, qd, qdd),
-        c_text(design.network, time, q),
+        csv_text(network, time, *motion),
+        trajectory_yaml(names, points),
+        json.dumps(message) + "\n",  # as bridges to ROS take it
+        c_text(network, time, motion[0]),
         design_page(design, command),
     )
     for target, text in zip(paths, texts, strict=True):
@@ -304,7 +290,7 @@ def save_design(
 
 
 def design_files(path: str | Path) -> tuple[Path, ...]:
-    """The files that `save_design` writes: CSV, YAML, JSON, C header and page.
+    """Return the files that `save_design` writes: CSV, YAML, JSON, C header and page.
 
     **Arguments**
 
@@ -331,22 +317,19 @@ Time = Float[np.ndarray, " samples"]
 
 
 def csv_text(network: CSLC, time: Time, q: Samples, qd: Samples, qdd: Samples) -> str:
-    """A motion as a table."""
-    names = network.output_labels
-    header = ["time"]
-    for quantity in ("position", "velocity", "acceleration"):
-        header += [f"{quantity}_{name}" for name in names]
-    lines = [",".join(header)]
+    """Return a motion as a table."""
+    quantities = ("position", "velocity", "acceleration")
+    names = [f"{quantity}_{name}" for quantity in quantities for name in network.output_labels]
+    lines = [",".join(["time", *names])]
     for row in np.column_stack([time, q, qd, qdd]):
         lines.append(",".join(f"{value:.10g}" for value in row))
     return "\n".join(lines) + "\n"
 
 
-def trajectory_yaml(network: CSLC, time: Time, q: Samples, qd: Samples, qdd: Samples) -> str:
-    """A motion as a `trajectory_msgs/JointTrajectory`."""
-    lines = ["header: {frame_id: ''}", f"joint_names: {json.dumps(network.output_names)}"]
-    lines.append("points:")
-    for point in _points(time, q, qd, qdd):
+def trajectory_yaml(names: Sequence[str], points: Sequence[dict[str, Any]]) -> str:
+    """Return a motion as a `trajectory_msgs/JointTrajectory`."""
+    lines = ["header: {frame_id: ''}", f"joint_names: {json.dumps(names)}", "points:"]
+    for point in points:
         stamp = point["time_from_start"]
         lines += [
             f"- positions: {point['positions']}",
@@ -357,18 +340,8 @@ def trajectory_yaml(network: CSLC, time: Time, q: Samples, qd: Samples, qdd: Sam
     return "\n".join(lines) + "\n"
 
 
-def trajectory_json(network: CSLC, time: Time, q: Samples, qd: Samples, qdd: Samples) -> str:
-    """Write a motion as a `trajectory_msgs/JointTrajectory` in JSON, as bridges to ROS take it."""
-    message = {
-        "header": {"frame_id": ""},
-        "joint_names": network.output_names,
-        "points": _points(time, q, qd, qdd),
-    }
-    return json.dumps(message) + "\n"
-
-
-def _points(time: Time, q: Samples, qd: Samples, qdd: Samples) -> list[dict[str, Any]]:
-    """A `trajectory_msgs/JointTrajectoryPoint` a row."""
+def trajectory_points(time: Time, q: Samples, qd: Samples, qdd: Samples) -> list[dict[str, Any]]:
+    """Return a `trajectory_msgs/JointTrajectoryPoint` per row."""
     points: list[dict[str, Any]] = []
     for instant, *states in zip(time, q, qd, qdd, strict=True):
         seconds = int(instant)
@@ -384,7 +357,7 @@ _DERIVATIVES = ("positions", "velocities", "accelerations")
 
 
 def c_text(network: CSLC, time: Time, q: Samples) -> str:
-    """Positions as an array in C."""
+    """Return positions as an array in C."""
     name = re.sub(r"\W+", "_", network.robot.name).strip("_").lower() or "robot"
     rows = ",\n".join("    {" + ", ".join(f"{value:.9g}" for value in row) + "}" for row in q)
     samples, joints = q.shape

@@ -18,10 +18,11 @@ from ._information import MotionInformation, Spectra, regressor_of
 from ._limits import QUANTITIES, Joints, Limits
 
 
-# Of limits: what is kept back during the search, for what happens between samples.
-_INSIDE = 0.996
-_BEYOND = 1.001  # what narrowed limits keep back beside it
+# Of the search, as `scripts/studies/excitation/study.py` judges it by what designs reach.
+_INSIDE = 0.996  # part of limits that is used, for what happens between samples
+_BEYOND = 1.001  # by which narrowed limits keep back more
 _FIRST_PENALTY, _PENALTY_GROWTH, _LARGEST_PENALTY = 3.0, 4.0, 3e3
+_NOWHERE = 1e10  # value where the Lagrangian is no number
 
 
 class Contacts(NamedTuple):
@@ -103,25 +104,24 @@ class DesignProblem(eqx.Module):
         fixed = np.zeros_like(unit)
         if start is not None:
             unit[0], fixed[0] = 0.0, start
-        return cls(
-            information,
-            jnp.asarray(prior),
-            jnp.asarray(wanted),
-            jax.tree.map(jnp.asarray, task),
-            jnp.asarray(np.stack([family.basis(time, order) for order in range(4)])),
-            jnp.asarray(np.stack([middle for middle, _ in ranges])),
-            jnp.asarray(_INSIDE * half),
-            jnp.asarray(_INSIDE * limits.usable_torque),
-            jnp.asarray(_INSIDE * limits.usable_power),
-            jnp.asarray(without_jumps(information.network, information.k)),
-            jnp.asarray(limits.acceleration * information.interval / 2),
-            jnp.asarray(unit),
-            jnp.asarray(fixed),
-            criterion,
-        )
+        arrays = {
+            "prior": prior,
+            "wanted": wanted,
+            "task": task,
+            "basis": np.stack([family.basis(time, order) for order in range(4)]),
+            "middle": np.stack([middle for middle, _ in ranges]),
+            "half": _INSIDE * half,
+            "torque": _INSIDE * limits.usable_torque,
+            "power": _INSIDE * limits.usable_power,
+            "smooth": without_jumps(information.network, information.k),
+            "reversal": limits.acceleration * information.interval / 2,
+            "unit": unit,
+            "start": fixed,
+        }
+        return cls(information, **jax.tree.map(jnp.asarray, arrays), criterion=criterion)
 
     def parameters(self, x: Any) -> Any:
-        """(m, n) from what the search varies."""
+        """Return parameters (m, n) from the variables of the search."""
         return self.start + self.unit * x.reshape(self.unit.shape)
 
     def variables(self, parameters: Parameters) -> Float[np.ndarray, " variables"]:
@@ -130,15 +130,17 @@ class DesignProblem(eqx.Module):
         return np.where(unit > 0, np.asarray(parameters) / np.where(unit > 0, unit, 1), 0).ravel()
 
     def motion(self, x: Float[np.ndarray, " variables"]) -> tuple[np.ndarray, ...]:
-        """Positions, velocities and accelerations on the grid, of what the search varies."""
+        """Return positions, velocities and accelerations on the grid."""
         parameters = np.asarray(self.parameters(x))
         return tuple(np.asarray(basis) @ parameters for basis in self.basis[:3])
 
     def constraints(
         self, x: Any, contacts: Contacts, regressor: Any = None
     ) -> tuple[Any, Multipliers, Any]:
-        """Motion, constraints (kept where not above zero), and the regressor; `regressor`: if it is
-        known already."""
+        """Return the motion, constraints (kept where not above zero), and the regressor.
+
+        `regressor` is passed if it is known already.
+        """
         derivatives = jnp.einsum("otm,mn->otn", self.basis, self.parameters(x))
         q, qd, qdd, _ = derivatives
         kinematic = jnp.abs(derivatives - self.middle[:, None]) / self.half[:, None] - 1.0
@@ -170,8 +172,10 @@ class DesignProblem(eqx.Module):
         return dataclasses.replace(self, **changes)
 
     def _torque_bound(self, regressor: Any, qd: Any) -> Any:
-        """(samples, n) at least the absolute torque, and with friction of both signs where a joint
-        reverses; continuous there, as line searches need it."""
+        """Bound the absolute torque, (samples, n), with friction of both signs at reversals.
+
+        The bound is continuous there, as line searches need it.
+        """
         smooth = regressor @ self.smooth
         jump = regressor @ jnp.asarray(self.information.k) - smooth
         moving = jnp.abs(qd) / jnp.sqrt(qd**2 + self.reversal[None] ** 2)
@@ -180,8 +184,7 @@ class DesignProblem(eqx.Module):
     def lagrangian(
         self, x: Any, spectra: Spectra, multipliers: Multipliers, penalty: Any, contacts: Contacts
     ) -> Any:
-        """The augmented Lagrangian of Powell, Hestenes and Rockafellar, the logarithm of the
-        criterion beside it."""
+        """Return the augmented Lagrangian (Powell, Hestenes, Rockafellar) and log criterion."""
         motion, values, regressor = self.constraints(x, contacts)
         moments = self.information.moments(motion, spectra, regressor)
         objective = log_criterion(self.criterion, moments, self.prior, self.wanted, self.task)
@@ -205,11 +208,9 @@ def _lagrangian(
     penalty: Any,
     contacts: Any,
 ) -> Any:
-    def value(x: Any) -> Any:
-        total, objective = problem.lagrangian(x, spectra, multipliers, penalty, contacts)
-        return total, objective
-
-    (total, objective), gradient = jax.value_and_grad(value, has_aux=True)(x)
+    """Compute the augmented Lagrangian, its gradient, and the logarithm of the criterion."""
+    value = jax.value_and_grad(problem.lagrangian, has_aux=True)
+    (total, objective), gradient = value(x, spectra, multipliers, penalty, contacts)
     return total, gradient, objective
 
 
@@ -255,20 +256,21 @@ class Search:
         penalty: float = _FIRST_PENALTY,
         multipliers: Multipliers | None = None,
     ) -> float:
-        """Minimise from `x`; so many rounds of multipliers, from zeros if none are passed, with so
-        many steps each, with a penalty that grows from round to round.
+        """Minimise from `x`, by rounds of multipliers with so many steps each.
+
+        Multipliers begin at zero if none are passed. The penalty grows from round to round.
 
         **Returns** the logarithm of the criterion at the end, which limits may still not allow.
         """
         problem = self.problem
-        _, samples, n = problem.basis.shape[0], problem.basis.shape[1], problem.unit.shape[1]
+        samples, n = problem.basis.shape[1], problem.unit.shape[1]
         multipliers = multipliers or Multipliers(
             jnp.zeros((4, samples, n)),
             jnp.zeros((samples, n)),
             jnp.zeros((samples, n)),
             jnp.zeros(_CONTACTS),
         )
-        objective, violation = np.inf, np.inf
+        objective = np.inf
         self.best = np.array(x)
         for number in range(rounds):
             q, _, _ = problem.motion(self.best)
@@ -281,12 +283,10 @@ class Search:
             def value(x: np.ndarray, arguments: Any = arguments) -> tuple[float, np.ndarray]:
                 nonlocal objective
                 total, gradient, criterion = _lagrangian(problem, jnp.asarray(x), *arguments)
-                objective = float(criterion)
-                total = float(total)
-                gradient = np.asarray(gradient, float)
+                objective, gradient = float(criterion), np.asarray(gradient, float)
                 if not (np.isfinite(total) and np.isfinite(gradient).all()):
-                    return 1e10, np.zeros_like(gradient)
-                return total, gradient
+                    return _NOWHERE, np.zeros_like(gradient)
+                return float(total), gradient
 
             def keep(x: np.ndarray) -> None:
                 self.best = np.array(x)
@@ -304,11 +304,11 @@ class Search:
             multipliers, worst = _updated(
                 problem, jnp.asarray(self.best), *arguments[1:], regressor
             )
-            violation, self.multipliers = float(worst), multipliers
+            self.multipliers = multipliers
             if self.progress:
                 self.progress(
                     f"round {number + 1} of {rounds}: criterion {np.exp(objective):.4g}, limits"
-                    f" exceeded by {100 * max(violation, 0.0):.2g} %"
+                    f" exceeded by {100 * max(float(worst), 0.0):.2g} %"
                 )
             penalty = min(penalty * _PENALTY_GROWTH, _LARGEST_PENALTY)
         return objective
@@ -321,7 +321,7 @@ def _no_contacts(joints: int) -> Contacts:
 
 
 def padded_contacts(contacts: Contacts) -> Contacts:
-    """The nearest of contacts, with as many far away ones as make the fixed number."""
+    """Return the nearest contacts, with as many far away ones as make the fixed number."""
     order = np.argsort(contacts.distance)[:_CONTACTS]
     missing = _CONTACTS - len(order)
     sample, distance, jacobian, position = (x[order] for x in contacts)

@@ -1,12 +1,14 @@
-"""Header and source of exported C code."""
+"""C99 for a robot: what each function computes, and the text of header and source."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._scratch import unfinished
 from ..codegen import Expressions, KernelText, Motion, Value
 from ..friction import checked_distance, state_after
 from ..network import CSLC, ExpressionFunctions, term_entries
@@ -16,13 +18,10 @@ from ._rigid_body import RigidBodies, rigid_bodies
 def input_entries(
     network: CSLC, motion: Motion, contacts: Mapping[int, Value]
 ) -> list[tuple[int, int, Value]]:
-    """The regressor's entries beside the rigid body's: friction, offsets, springs, coupled joints.
+    """Return the regressor's entries that are not the rigid body's: joint, coefficient and value.
 
-    - `contacts`: by joint, the state that its dry friction has in place of a sign.
-
-    **Returns**
-
-    - Joint, coefficient and value of each.
+    They are of friction, offsets, springs and coupled joints. `contacts` has, by joint, the state
+    that replaces the sign of dry friction.
     """
     entries: list[tuple[int, int, Value]] = []
     for term in network.input_terms:
@@ -38,13 +37,9 @@ def input_entries(
 def input_inertias(
     network: CSLC, k: Float[np.ndarray, " coefficients"]
 ) -> list[tuple[int, int, float]]:
-    """Return the entries that terms other than the rigid body add to the mass matrix.
+    """Return what other terms than the rigid body add to the mass matrix: row, column and value.
 
-    They are on and above its diagonal.
-
-    **Returns**
-
-    - Row, column and value of each.
+    Entries are on and above the diagonal.
     """
     entries: list[tuple[int, int, float]] = []
     for term in network.input_terms:
@@ -203,7 +198,7 @@ def c_functions(
     k: Float[np.ndarray, " coefficients"],
     lengths: Float[np.ndarray, " joints"],
 ) -> list[ExportedFunction]:
-    """Every operation, computed in the way that needs the fewest operations."""
+    """Return every function, computed in the way that needs the fewest operations."""
     ways = list(rigid_bodies(network, k))
     yields = bool(np.any(lengths))
     functions: list[ExportedFunction] = []
@@ -249,7 +244,7 @@ def header_file(
     functions: Sequence[ExportedFunction],
     lengths: Float[np.ndarray, " joints"],
 ) -> str:
-    """The declarations: contents of `NAME.h`."""
+    """Return the declarations: contents of `NAME.h`."""
     guard = f"{name.upper()}_H"
     lines = [f"#ifndef {guard}", f"#define {guard}", "", "/*"]
     lines += [*_about(network), *_about_states(name, network, lengths), "*/", ""]
@@ -267,7 +262,7 @@ def source_file(
     k: Float[np.ndarray, " coefficients"],
     functions: Sequence[ExportedFunction],
 ) -> str:
-    """The definitions: contents of `NAME.c`."""
+    """Return the definitions: contents of `NAME.c`."""
     lines = ["/*", *_about(network), ""]
     lines += ["Coefficients, in the order of the regressor's columns:", ""]
     width = max(len(c.name) for c in network.coefficients)
@@ -298,7 +293,7 @@ def _signature(name: str, joints: int, function: ExportedFunction) -> str:
 
 
 def _definitions(graph: Expressions) -> list[str]:
-    """Functions that C's library does not have and the expressions use."""
+    """Return functions that the expressions use and C's library does not have."""
     used = {operation.name for operation in graph.operations}
     return [text for name, text in _DEFINITIONS.items() if name in used]
 
@@ -311,7 +306,7 @@ def _statements(function: ExportedFunction) -> list[str]:
 
 
 def _unused(function: ExportedFunction) -> list[str]:
-    """Statements that keep compilers from warning of inputs that nothing depends on."""
+    """Return statements that keep compilers from warning of inputs that nothing depends on."""
     needed = function.graph.needed(function.values)
     used = {function.graph.operations[index].text.partition("[")[0] for index in needed}
     return [f"    (void){name};" for name in function.inputs if name not in used]
@@ -397,8 +392,7 @@ class CCode:
     - `operations`: additions, multiplications and function calls of each function.
 
     >>> import numpy as np, jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric")
     >>> code = jc.c_code(network, np.array([0.5, 0.3, -0.1, 0.2, 0.05]), name="arm")
     >>> "void arm_gravity(const double q[1], double tau[1]);" in code.header
     True
@@ -417,7 +411,7 @@ def c_code(
     name: str | None = None,
     lengths: Float[Array | np.ndarray, " joints"] | None = None,
 ) -> CCode:
-    """Self-contained C99 for torque, mass matrix, gravity and regressor.
+    """Write self-contained C99 for torque, mass matrix, gravity and regressor.
 
     Straight-line functions of joint positions, velocities and accelerations: no allocation, no
     state of their own, nothing but `math.h`. The coefficients are numbers in the text; sines,
@@ -449,9 +443,7 @@ def c_code(
       such as `report.pre_sliding.presliding_distance` beside `k=report.pre_sliding.fit.k`; zeros if
       None.
 
-    **Returns**
-
-    - The code, and how many operations its functions need.
+    **Returns** the code, and how many operations its functions need.
 
     **Raises**
 
@@ -460,8 +452,7 @@ def c_code(
       for numbers so large, or lengths so small, that constants of the code overflow.
 
     >>> import jax.numpy as jnp, jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric")
     >>> code = jc.c_code(network, jnp.array([0.5, 0.3, 0.0, 0.2, 0.05]), name="pendulum")
     >>> print(code.source[code.source.index("void pendulum_gravity"):].split(chr(10) * 2)[0])
     void pendulum_gravity(const double q[1], double tau[1])
@@ -470,14 +461,10 @@ def c_code(
     }
     """
     values = np.asarray(k, float)
-    if values.shape != (network.size,):
+    if values.shape != (network.size,) or not np.all(np.isfinite(values)):
+        kind = " that are not all finite" if values.shape == (network.size,) else ""
         raise ValueError(
-            f"k: expected {network.size} finite coefficients, got an array of {values.shape}"
-        )
-    if not np.all(np.isfinite(values)):
-        raise ValueError(
-            f"k: expected {network.size} finite coefficients, got an array of {values.shape}"
-            " that are not all finite"
+            f"k: expected {network.size} finite coefficients, got an array of {values.shape}{kind}"
         )
     name = identifier(network.robot.name) if name is None else name
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or name in _RESERVED:
@@ -493,6 +480,34 @@ def c_code(
 
 
 def identifier(text: str) -> str:
-    """A C identifier that reads like a name: `puma_560` of `PUMA 560`."""
+    """Return a C identifier that reads like a name: `puma_560` of `PUMA 560`."""
     name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
     return name if name[:1].isalpha() and name not in _RESERVED else f"robot_{name}".rstrip("_")
+
+
+def write_c(code: CCode, path: str | Path | None = None) -> tuple[Path, Path]:
+    """Write C code as a source file and the header that it includes.
+
+    **Arguments**
+
+    - `code`: from `c_code`.
+    - `path`: of the source file; by default the code's name in the current folder.
+
+    **Returns** the paths of source and header.
+
+    **Raises**
+
+    - `ValueError`: a name that does not end in .c.
+    - `OSError`: the files cannot be written.
+    """
+    source = Path(f"{code.name}.c" if path is None else path)
+    if source.suffix != ".c":
+        raise ValueError(f"{source}: expected a name ending in .c")
+    header = source.with_suffix(".h")
+    # The source includes its header by name.
+    text = code.source.replace(f'#include "{code.name}.h"', f'#include "{header.name}"')
+    source.parent.mkdir(parents=True, exist_ok=True)
+    with unfinished(header) as header_file, unfinished(source) as source_file:
+        header_file.write_text(code.header, encoding="ascii")
+        source_file.write_text(text, encoding="ascii")
+    return source, header

@@ -3,8 +3,6 @@
 Motor inertias of a URDF are kept in a TOML file next to it.
 """
 
-import contextlib
-import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +12,7 @@ from typing import Any, cast
 import numpy as np
 from jaxtyping import Float
 
+from .._scratch import unfinished
 from .._toml_document import toml_document
 from ..bodies import PhysicalParameters, body_of, link_of, pseudo_inertia
 from ..manipulator import (
@@ -38,7 +37,7 @@ robot = "{name}"
 
 
 def motor_file(robot: str | Path) -> Path:
-    """The file of a URDF's motor inertias: beside it, `.motors.toml` in place of its suffix.
+    """Return the file of a URDF's motor inertias, next to it, with the suffix `.motors.toml`.
 
     >>> from jaxcslc.export import motor_file
     >>> motor_file("build/arm_identified.urdf").name
@@ -49,7 +48,7 @@ def motor_file(robot: str | Path) -> Path:
 
 
 def write_motor_inertias(robot: str | Path, inertias: Mapping[str, float]) -> Path:
-    """Writes the motor inertias of a URDF's joints beside it, as TOML.
+    """Write the motor inertias of a URDF's joints next to it, as TOML.
 
     **Arguments**
 
@@ -71,16 +70,8 @@ def write_motor_inertias(robot: str | Path, inertias: Mapping[str, float]) -> Pa
     """
     path, name = motor_file(robot), _quoted(Path(robot).name)
     lines = [f'"{_quoted(joint)}" = {float(value)!r}' for joint, value in inertias.items()]
-    text = _HEADER.format(name=name) + "\n".join(lines) + "\n"
-    scratch = path.with_name(f".{path.name}.part")
-    try:
-        scratch.write_text(text, encoding="utf-8")
-        scratch.replace(path)
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from None
-    finally:
-        with contextlib.suppress(OSError):
-            scratch.unlink(missing_ok=True)
+    with unfinished(path) as file:
+        file.write_text(_HEADER.format(name=name) + "\n".join(lines) + "\n", encoding="utf-8")
     return path
 
 
@@ -117,12 +108,10 @@ def read_motor_inertias(path: str | Path) -> dict[str, float]:
 
 
 def _quoted(text: str) -> str:
-    """A text as TOML has it between quotes."""
-    escapes = {'"': '\\"', "\\": "\\\\"}
-    return "".join(
-        escapes.get(letter, letter if letter.isprintable() else f"\\u{ord(letter):04x}")
-        for letter in text
-    )
+    """Return a text as TOML has it between quotes."""
+    import tomlkit
+
+    return tomlkit.string(text).as_string()[1:-1]
 
 
 _ATTRIBUTE = re.compile(rb"""(\s+)([^\s=/>"']+)\s*=\s*("[^"]*"|'[^']*')""")
@@ -164,13 +153,12 @@ class XmlEdits:
         change.removed |= set(without)
 
     def insert(self, element: Element, child: str) -> None:
-        """A new first child, on a separate line if the others are; its further lines are
-        indented like its first."""
+        """Insert a first child, on a separate line if the others are, indented as they are."""
         change = self._changes.setdefault(element.start, _Change(element))
         change.children.append(child.encode())
 
     def text(self) -> bytes:
-        """The text with all changes made."""
+        """Return the text with all changes made."""
         text = self._text
         for start in sorted(self._changes, reverse=True):
             change = self._changes[start]
@@ -215,7 +203,7 @@ def _with_attributes(tag: bytes, change: _Change) -> bytes:
 
 
 def _indentation(text: bytes, start: int) -> bytes:
-    """Line break and spaces before an element; empty if it does not begin a line."""
+    """Return line break and spaces before an element; nothing if it does not begin a line."""
     before = text[:start]
     space = before[len(before.rstrip()) :]
     return space[space.rfind(b"\n") :] if b"\n" in space else b""
@@ -240,7 +228,7 @@ def with_parameters(
     stored: Collection[str],
     slopes: Mapping[int, float],
 ) -> bytes:
-    """A robot's file with other link parameters and friction, and nothing else changed.
+    """Return a robot's file with other link parameters and friction, and nothing else changed.
 
     **Arguments**
 
@@ -254,9 +242,7 @@ def with_parameters(
     and friction loss to their joints, motor inertia to MJCF's armature. Bodies fixed to a link
     keep their numbers. In TOML what is listed as zero stays zero.
 
-    **Returns**
-
-    - The new contents of the file.
+    **Returns** the new contents of the file.
 
     **Raises**
 
@@ -284,7 +270,7 @@ def with_parameters(
 
 
 def _remainder(source: Source, i: int, link: LinkParameters) -> LinkParameters:
-    """A link without the bodies that the file has fixed to it."""
+    """Return a link without the bodies that the file has fixed to it."""
     carried = source.carried[i]
     if carried is None:
         return link
@@ -304,6 +290,8 @@ def _urdf(
     parameters: PhysicalParameters,
     edits: XmlEdits,
 ) -> None:
+    from scipy.spatial.transform import Rotation
+
     links = {element.attributes.get("name", ""): element for element in root.all("link")}
     joints = {element.attributes.get("name", ""): element for element in root.all("joint")}
     for i, (joint, name, body) in enumerate(zip(source.joints, source.links, bodies, strict=True)):
@@ -319,18 +307,16 @@ def _urdf(
         else:
             origin = inertial.first("origin")
             angles = (origin.attributes.get("rpy", "") if origin else "").split() or ["0"] * 3
-            position, mass, tensor = _urdf_numbers(body, _from_rpy([float(x) for x in angles]))
+            # Roll, pitch and yaw are about fixed axes x, y, z.
+            axes = Rotation.from_euler("xyz", [float(x) for x in angles]).as_matrix()
+            position, mass, tensor = _urdf_numbers(body, axes)
             for tag, attributes in (("inertia", tensor), ("mass", mass), ("origin", position)):
                 element = inertial.first(tag)
                 if element is None:
                     edits.insert(inertial, f"<{tag} {_text(attributes)}/>")
                 else:
                     edits.set(element, attributes)
-        drive = {
-            attribute: _number(parameters.friction[kind][i])
-            for attribute, kind in (("damping", "viscous"), ("friction", "dry"))
-            if kind in parameters.friction
-        }
+        drive = _drive(parameters, i, {"viscous": "damping", "dry": "friction"})
         element = _element(joints, joint, "joint", source)
         dynamics = element.first("dynamics")
         if dynamics is not None:
@@ -342,24 +328,12 @@ def _urdf(
 def _urdf_numbers(
     body: LinkParameters, axes: Float[np.ndarray, "3 3"]
 ) -> tuple[dict[str, str], dict[str, str], dict[str, str]]:
-    """Attributes of origin, mass and inertia, the tensor in the inertial element's axes."""
+    """Return attributes of origin, mass and inertia, the tensor in the inertial element's axes."""
     tensor = axes.T @ np.asarray(body.inertia) @ axes
     return (
         {"xyz": _numbers(body.centre_of_gravity)},
         {"value": _number(body.mass)},
         {name: _number(tensor[index]) for name, index in zip(_FULL, _INDICES, strict=True)},
-    )
-
-
-def _from_rpy(angles: Sequence[float]) -> Float[np.ndarray, "3 3"]:
-    """Roll, pitch and yaw about fixed axes x, y, z, as URDF has them."""
-    (cr, cp, cy), (sr, sp, sy) = ([f(angle) for angle in angles] for f in (math.cos, math.sin))
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
     )
 
 
@@ -388,11 +362,7 @@ def _mjcf(
         joints = element.all("joint")
         named = {child.attributes.get("name", ""): child for child in joints}
         hinge = joints[0] if len(joints) == 1 else _element(named, joint, "joint", source)
-        terms = {
-            "damping": parameters.friction.get("viscous"),
-            "frictionloss": parameters.friction.get("dry"),
-        }
-        drive = {name: _number(x[i]) for name, x in terms.items() if x is not None}
+        drive = _drive(parameters, i, {"viscous": "damping", "dry": "frictionloss"})
         edits.set(hinge, drive | {"armature": _number(parameters.links[i].motor_inertia)})
         inertial = element.first("inertial")
         if inertial is None:
@@ -449,6 +419,14 @@ def _element(elements: Mapping[str, Element], name: str, what: str, source: Sour
             " unnamed ones cannot be written)"
         )
     return elements[name]
+
+
+def _drive(parameters: PhysicalParameters, joint: int, names: Mapping[str, str]) -> dict[str, str]:
+    """Return the attributes of a joint's friction, named by kinds."""
+    friction = parameters.friction
+    return {
+        name: _number(friction[kind][joint]) for kind, name in names.items() if kind in friction
+    }
 
 
 def _text(attributes: Mapping[str, str]) -> str:

@@ -138,7 +138,7 @@ def _payload(network: CSLC) -> RigidBodyRecursion | None:
 
 
 def projected_motion(motion: Motion, projection: JointProjection) -> Motion:
-    """Motion of all joints, as expressions of that of the independent ones."""
+    """Return the motion of all joints, as expressions of that of the independent ones."""
     whole = copy(motion)
     rows = list(zip(projection.matrix, projection.offset, strict=True))
 

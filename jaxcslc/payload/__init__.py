@@ -10,27 +10,26 @@ On-line, sample by sample:
 
 Modules, in reading order:
 
-- `_fit`: the ten parameters, physical quantities, and their errors.
-- `_identify`: `fit_payload` for patterns, `identify_payload` for recordings.
-- `_report`: the report, its text and files.
-- `_change_detection`: evidence that a payload is picked up, put down or changed.
-- `_estimator`: recursive identification.
-- `_compensation`: a controller that uses the estimate.
+- `_fit`: `fit_payload` for patterns, and the fit with its errors.
+- `_report`: `identify_payload` for recordings, and its report.
+- `_equations`: recursive equations, evidence for a change, possible bodies.
+- `_estimator`: recursive identification, and a controller that uses the estimate.
 """
 
-from ._change_detection import PayloadEstimate as PayloadEstimate, PayloadState as PayloadState
-from ._compensation import (
+from ._equations import possible_body as possible_body, torque_noise as torque_noise
+from ._estimator import (
     PayloadCompensation as PayloadCompensation,
     PayloadCompensationState as PayloadCompensationState,
-)
-from ._estimator import (
+    PayloadEstimate as PayloadEstimate,
     PayloadEstimator as PayloadEstimator,
-    possible_body as possible_body,
-    torque_noise as torque_noise,
+    PayloadState as PayloadState,
 )
-from ._fit import PHYSICAL as PHYSICAL, PayloadFit as PayloadFit
-from ._identify import fit_payload as fit_payload, identify_payload as identify_payload
-from ._report import PayloadReport as PayloadReport
+from ._fit import (
+    PHYSICAL as PHYSICAL,
+    PayloadFit as PayloadFit,
+    fit_payload as fit_payload,
+)
+from ._report import PayloadReport as PayloadReport, identify_payload as identify_payload
 
 
 __all__ = [

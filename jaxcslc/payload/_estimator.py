@@ -1,214 +1,120 @@
-"""Recursive identification of a payload from encoder readings and torque commands.
+"""Recursive identification of a payload, and control that compensates it.
 
-`possible_body` keeps the estimate physically consistent, and `torque_noise` weights the
-equations.
+`PayloadEstimator` turns encoder readings and torque commands into a `PayloadEstimate`, sample by
+sample; `PayloadCompensation` controls an arm with it. `_equations` has their mathematics.
 """
+
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from ..bodies import pseudo_inertia
-from ..control import LowPassChain
+from ..control import (
+    AbstractController,
+    ComputedTorque,
+    LowPassChain,
+    OutputFeedback,
+    OutputFeedbackState,
+    Reference,
+)
 from ..least_squares import Identification
 from ..network import CSLC
-from ..recordings import Patterns
-from ._change_detection import (
+from ._equations import (
     PRIOR_DEVIATION,
-    PayloadEstimate,
-    PayloadState,
     RecursiveEquations,
     absence_evidence,
     disagreement,
     likelihood_ratio,
     payload_evidence,
+    possible_body,
 )
 
 
-def torque_noise(
-    network: CSLC,
-    k: Float[Array | np.ndarray, " coefficients"],
-    patterns: Patterns,
-    *,
-    block: float = 0.25,
-) -> Float[np.ndarray, " joints"]:
-    """Spectral density of the torque's slow errors at each joint [N² m² s].
+class PayloadEstimate(NamedTuple):
+    """The estimate of a payload at one instant, in the frame of the link that carries it.
 
-    The difference between an unloaded arm's torque and its model is not white: most of it is model
-    error, which lasts as long as a pose or a direction of motion. A payload is identified by
-    averaging over time, and the mean over T seconds has the variance density / T; it is measured
-    over blocks of `block` seconds. White noise of standard deviation σ at a sampling interval h has
-    the density σ² h.
+    **Attributes**
 
-    **Arguments**
-
-    - `network`, `k`: (p,) the unloaded arm.
-    - `patterns`: of another recording than that which `k` was identified from. Masked samples are
-      left out, and blocks of which more than half is masked.
-    - `block`: longer than the errors are correlated, shorter than a tenth of the recording [s].
-
-    **Returns**
-
-    (n,) [N² m² s].
-
-    **Raises**
-
-    - `ValueError`: a joint has fewer than four such blocks; names it.
-
-    >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
-    >>> from jaxcslc.payload import torque_noise
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network, t = jc.derive(arm, lengths="numeric"), 0.002 * np.arange(5000)[:, None]
-    >>> every, noise = np.ones(t.shape, bool), np.random.default_rng(0).normal(size=t.shape)
-    >>> patterns = jc.Patterns(t[:, 0], t, 0 * t, 0 * t, 0.1 * noise, every, every)
-    >>> bool(abs(torque_noise(network, jnp.zeros(3), patterns)[0] / (0.1**2 * 0.002) - 1) < 0.5)
-    True
+    - `body`: its ten inertial parameters in the order of `BODY`, physically possible.
+    - `covariance`: of the unconstrained estimate, (10, 10).
+    - `mass`, `mass_error`: and its standard error [kg].
+    - `centre`, `centre_error`: centre of gravity and its standard error, (3,) [m]; the error is
+      infinite while the mass may be zero.
+    - `carrying`: whether there is a payload, as decided last; see `PayloadEstimator`.
+    - `picked_up`, `put_down`: when that was detected last [s since `begin`]; −1 for never.
+    - `change`: disagreement of the latest motion with the estimate: χ² of ten degrees of freedom.
+    - `evidence`: for the next change, the natural logarithm of its likelihood ratio: for a payload
+      while there is none, for none while there is one.
     """
-    residual = np.asarray(patterns.torque) - np.asarray(
-        network.torque(jnp.asarray(k), patterns.q, patterns.qd, patterns.qdd)
-    )
-    time = np.asarray(patterns.time)
-    mask = np.asarray(patterns.mask)
-    number = np.floor((time - time[0]) / block).astype(int)
-    size = np.bincount(number)
-    density = np.empty(residual.shape[1])
-    for joint in range(len(density)):
-        counted = mask[:, joint]
-        samples = np.bincount(number, weights=counted)
-        total = np.bincount(number[counted], weights=residual[counted, joint], minlength=len(size))
-        enough = samples >= 0.5 * np.max(size)
-        if np.count_nonzero(enough) < 4:
-            raise ValueError(
-                f"joint {joint + 1}: {np.count_nonzero(enough)} blocks of {block:g} s in which it"
-                " moves; expected four or more: record for longer"
-            )
-        # The mean is over the unmasked part of a block, which is that much shorter.
-        length = block * samples[enough] / np.max(size)
-        density[joint] = np.mean(length * (total[enough] / samples[enough]) ** 2)
-    return density
+
+    body: Float[Array, "10"]
+    covariance: Float[Array, "10 10"]
+    mass: Float[Array, ""]
+    mass_error: Float[Array, ""]
+    centre: Float[Array, "3"]
+    centre_error: Float[Array, "3"]
+    carrying: Bool[Array, ""]
+    picked_up: Float[Array, ""]
+    put_down: Float[Array, ""]
+    change: Float[Array, ""]
+    evidence: Float[Array, ""]
 
 
-# J(body) is linear in the ten parameters: the matrices that they multiply, and the inverse map.
-_BASIS = np.stack([pseudo_inertia(unit) for unit in np.eye(10)])
-_BACK = np.linalg.pinv(_BASIS.reshape(10, 16).T)
-_DENSITY = 2700.0  # of aluminium [kg/m³]: the size of the initial body
-# The target for the complementarity, as a fraction of the present one, and its smallest value in
-# squared standard errors: iterations converge at this distance from the boundary.
-_CENTRING = 0.2
-_SMALLEST_TARGET = 1e-4
-_STEP_FRACTION = 0.95
+class PayloadState(NamedTuple):
+    """The memory of a `PayloadEstimator`.
 
+    **Attributes**
 
-def possible_body(
-    estimate: Float[Array, "10"], information: Float[Array, "10 10"], *, steps: int = 12
-) -> Float[Array, "10"]:
-    """The physically possible body nearest to an estimate, in the metric of the estimate.
-
-    A body is possible if and only if its pseudo-inertia J is positive definite (Wensing, Kim and
-    Slotine 2018). This minimises ½ (x − x̂)' Λ (x − x̂) under that condition, by a primal-dual
-    interior-point method on the 4 by 4 matrix, from a ball of the estimate's mass and centre. It
-    is `jaxcslc.bodies.nearest_body` for `jit`, `vmap` and control loops. Every iterate is
-    possible, and so is the result after any number of steps. A dozen steps leave the squared
-    distance within 0.01 of the minimum; for bodies of nearly no mass, within a few units.
-
-    Two other methods were slower: after forty steps Newton's method on a logarithmic barrier was
-    0.2 to 10 squared standard errors from the minimum, and Levenberg-Marquardt over a Cholesky
-    factor of J, which loses rank where measured bodies lie, 0.1 to 10.
-
-    **Arguments**
-
-    - `estimate`: x̂, (10,) in the order of `BODY`.
-    - `information`: Λ, (10, 10), positive definite: the inverse of the covariance.
-    - `steps`: number of iterations.
-
-    **Returns**
-
-    The ten parameters, (10,).
-
-    >>> import jax.numpy as jnp, numpy as np
-    >>> from jaxcslc.bodies import pseudo_inertia
-    >>> from jaxcslc.payload import possible_body
-    >>> estimate = jnp.array([-0.01, 0.02, 0.02, 0, 0, 0, 0.1, 0, 0, 2.0])  # Ixx below zero
-    >>> body = possible_body(estimate, 1e6 * jnp.eye(10))
-    >>> bool(np.all(np.linalg.eigvalsh(pseudo_inertia(np.asarray(body))) > 0))
-    True
+    - `position`: the latest reading, (n,) [rad or m].
+    - `torque`: the torque command for it, (n,) [N m or N].
+    - `motion`, `effort`: states of the filters on readings and on torques, (lags, n).
+    - `samples`, `time`: since `begin` [1], [s].
+    - `since_update`: time since the latest update [s].
+    - `motion_time`: time in motion since the last reset [s].
+    - `rest_time`: time for which all joints have been at rest [s].
+    - `disagreement_time`, `evidence_time`: time in motion for which the disagreement, or the
+      evidence, has exceeded its threshold [s].
+    - `long_term`, `short_term`: equations of the present payload, and of the latest motion.
+    - `candidate`, `candidate_time`: equations since the last standstill before which nothing spoke
+      for a change, and time in motion since then [s].
+    - `absence`: cumulative sum of the evidence against the payload that is carried.
+    - `undecided`: whether there is a payload is unknown, after a change.
+    - `estimate`: the present `PayloadEstimate`.
     """
-    basis, back = jnp.asarray(_BASIS, estimate.dtype), jnp.asarray(_BACK, estimate.dtype)
-    flat, unit = basis.reshape(10, 16), jnp.eye(4, dtype=estimate.dtype)
-    # In units of the initial body, its pseudo-inertia is the identity.
-    half = jnp.linalg.cholesky(jnp.tensordot(_ball(estimate, information), basis, 1))
-    units = back @ jnp.einsum("ab,ibc,dc->iad", half, basis, half).reshape(10, 16).T
-    metric = units.T @ information @ units
-    goal = jnp.linalg.solve(units, estimate)
-    start = back @ unit.reshape(16)
-    dual_scale = jnp.max(jnp.abs(metric @ (start - goal)))
 
-    def iterate(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
-        x, dual = state
-        primal = jnp.tensordot(x, basis, 1)
-        lower = jnp.linalg.cholesky(primal)
-        inverse = jax.scipy.linalg.cho_solve((lower, True), unit)
-        target = jnp.maximum(_CENTRING * jnp.sum(primal * dual) / 4.0, _SMALLEST_TARGET)
-        # Newton's step for Λ (x − x̂) = ⟨basis, Z⟩ and J Z = target: Helmberg et al. (1996).
-        curvature = jnp.einsum("iab,jba->ij", basis, inverse @ basis @ dual)
-        gradient = metric @ (x - goal) - target * flat @ inverse.reshape(16)
-        step = jnp.linalg.solve(metric + 0.5 * (curvature + curvature.T), -gradient)
-        primal_step = jnp.tensordot(step, basis, 1)
-        dual_step = target * inverse - dual - inverse @ primal_step @ dual
-        dual_step = 0.5 * (dual_step + dual_step.T)
-        # One length for both: the dual's residual depends on the primal.
-        length = jnp.minimum(
-            _step_length(lower, primal_step), _step_length(jnp.linalg.cholesky(dual), dual_step)
-        )
-        return (x + length * step, dual + length * dual_step), None
-
-    initial = (start, jnp.maximum(dual_scale, 1e-3) * unit)
-    (solution, _), _ = jax.lax.scan(iterate, initial, length=steps)
-    return units @ solution
-
-
-def _step_length(lower: Float[Array, "4 4"], step: Float[Array, "4 4"]) -> Float[Array, ""]:
-    """The part of a step that stays inside the cone, at a distance from its boundary."""
-    white = jax.scipy.linalg.solve_triangular(lower, step, lower=True)
-    white = jax.scipy.linalg.solve_triangular(lower, white.T, lower=True)
-    least = jnp.min(jnp.linalg.eigvalsh(white))
-    return jnp.where(
-        least < -_STEP_FRACTION, _STEP_FRACTION / jnp.maximum(-least, _STEP_FRACTION), 1.0
-    )
-
-
-def _ball(estimate: Float[Array, "10"], information: Float[Array, "10 10"]) -> Float[Array, "10"]:
-    """An aluminium ball of about the estimate's mass around about its centre."""
-    mass = jnp.maximum(estimate[9], 1.0 / jnp.sqrt(information[9, 9]))
-    centre = estimate[6:9] / mass
-    # ∫ x² dm of a ball is a fifth of m r².
-    spread = 0.2 * mass * jnp.maximum((mass / (4.0 / 3.0 * np.pi * _DENSITY)) ** (2 / 3), 1e-3)
-    about = jnp.sum(centre**2) * jnp.ones(3) - centre**2
-    x, y, z = centre
-    return jnp.concatenate(
-        [
-            2.0 * spread + mass * about,
-            -mass * jnp.stack([x * y, x * z, y * z]),
-            mass * centre,
-            mass[None],
-        ]
-    )
+    position: Float[Array, " joints"]
+    torque: Float[Array, " joints"]
+    motion: Float[Array, "lags joints"]
+    effort: Float[Array, "lags joints"]
+    samples: Int[Array, ""]
+    time: Float[Array, ""]
+    since_update: Float[Array, ""]
+    motion_time: Float[Array, ""]
+    rest_time: Float[Array, ""]
+    disagreement_time: Float[Array, ""]
+    evidence_time: Float[Array, ""]
+    long_term: RecursiveEquations
+    short_term: RecursiveEquations
+    candidate: RecursiveEquations
+    candidate_time: Float[Array, ""]
+    absence: Float[Array, ""]
+    undecided: Bool[Array, ""]
+    estimate: PayloadEstimate
 
 
 Joints = Float[Array | np.ndarray, " joints"]
 _SIZE = len(PRIOR_DEVIATION)
-# After this time of motion a payload is decided on even if its mass is not accurate.
-_LONGEST_UNDECIDED = 1.0  # s
-# Evidence or disagreement of so many thresholds needs no detection time: neither noise nor a moment
-# of stiction causes it.
-_CERTAIN = 20.0
-# A mass of so many standard errors is above zero.
-_SIGNIFICANT = 4.0
-# All joints below their thresholds for so long is a standstill, where payloads change [s].
-_STANDSTILL = 0.1
+# Of decisions on payloads: `scripts/studies/payload/study.py` counts their errors and delays.
+_LONGEST_UNDECIDED = 1.0  # of motion; then a payload is decided on without an accurate mass [s]
+_DETECTION_TIME = 0.1  # for which evidence or disagreement exceed their thresholds, in motion [s]
+_CERTAIN = 20.0  # thresholds that need no detection time: neither noise nor stiction causes them
+_SIGNIFICANT = 4.0  # standard errors by which a mass is above zero
+_STANDSTILL = 0.1  # of all joints, where payloads change [s]
+_SHORT_FORGETTING = 0.3  # forgetting time of the equations that are tested for a change [s]
 
 
 class PayloadEstimator(eqx.Module):
@@ -230,13 +136,13 @@ class PayloadEstimator(eqx.Module):
       are tested against that, by the logarithm of the Bayes factor of a payload. They are
       kept over standstills as long as they speak for a payload, so that several short motions count
       together, and dropped there otherwise (a cumulative sum: Page 1954). If the evidence exceeds
-      `evidence_threshold` for `detection_time`, the estimate is from these equations. It is
+      `evidence_threshold` for 0.1 s, the estimate is from these equations. It is
       published as soon as the mass is accurate to `mass_tolerance` or above zero by four standard
       errors, or, for an arm that hardly senses the mass, after a second of motion.
     - **Putting down.** While a payload is carried, the cumulative sum of the logarithms of how much
       better no payload predicts a sample than the payload so far, against the same threshold.
     - **Another payload.** A second estimator with a short forgetting time is compared with the
-      first. If they disagree by more than `detection_threshold` for `detection_time`, the equations
+      first. If they disagree by more than `detection_threshold` for 0.1 s, the equations
       are dropped and the payload is identified again; the published estimate does not change until
       the new one can be published, as above. At rest nothing is identified, since friction holds
       the payload.
@@ -252,13 +158,11 @@ class PayloadEstimator(eqx.Module):
     - `filter`: of readings and torques.
     - `forgetting_time`: over which the weight of an equation falls by a factor e [s]; from update
       to update the forgetting factor is exp(−interval / forgetting time).
-    - `short_forgetting_time`: the same for change detection [s].
     - `evidence_threshold`: natural logarithm of the likelihood ratio at which a payload has been
       picked up or put down. Noise as `noise` says exceeds it with a probability of exp(−threshold)
       from one standstill to the next, at most.
-    - `detection_threshold`: χ² of ten degrees of freedom that noise does not exceed.
-    - `detection_time`: how long either has to be exceeded, in motion [s]; twenty times the
-      threshold counts at once.
+    - `detection_threshold`: χ² of ten degrees of freedom that noise does not exceed. This and the
+      evidence have to be exceeded for 0.1 s in motion; twenty times the threshold counts at once.
     - `mass_tolerance`: standard error of the mass at which the presence of a payload is decided,
       and a third of the least mass that is one [kg].
     - `update_every`: samples from update to update.
@@ -289,10 +193,8 @@ class PayloadEstimator(eqx.Module):
     velocity_threshold: Float[Array, " joints"]
     filter: LowPassChain
     forgetting_time: float
-    short_forgetting_time: float
     evidence_threshold: float
     detection_threshold: float
-    detection_time: float
     mass_tolerance: float
     update_every: int = eqx.field(static=True)
 
@@ -305,14 +207,12 @@ class PayloadEstimator(eqx.Module):
         velocity_threshold: Joints | float = 0.05,
         filter: LowPassChain | None = None,
         forgetting_time: float = 10.0,
-        short_forgetting_time: float = 0.3,
         evidence_threshold: float = 10.0,
         detection_threshold: float = 60.0,
-        detection_time: float = 0.1,
         mass_tolerance: float = 0.05,
         update_every: int = 10,
     ) -> None:
-        """An estimator for one arm.
+        """Make an estimator for one arm.
 
         **Arguments**
 
@@ -343,20 +243,13 @@ class PayloadEstimator(eqx.Module):
         self.filter = LowPassChain(12.0, lags=4) if filter is None else filter
         if self.filter.lags < 3:
             raise ValueError(f"filter has {self.filter.lags} lags; accelerations need 3 or more")
-        self.forgetting_time = forgetting_time
-        self.short_forgetting_time = short_forgetting_time
-        self.evidence_threshold = evidence_threshold
-        self.detection_threshold, self.detection_time = detection_threshold, detection_time
-        self.mass_tolerance, self.update_every = mass_tolerance, update_every
+        self.forgetting_time, self.evidence_threshold = forgetting_time, evidence_threshold
+        self.detection_threshold, self.mass_tolerance = detection_threshold, mass_tolerance
+        self.update_every = update_every
 
     @eqx.filter_jit
     def begin(self, q: Joints) -> PayloadState:
-        """The state before the first sample, without payload, with the joints at rest.
-
-        **Arguments**
-
-        - `q`: encoder readings, (n,) [rad or m].
-        """
+        """Return the state before the first sample, without payload, at rest at readings `q`."""
         q = jnp.asarray(q, self.k.dtype)
         zeros, zero = jnp.zeros_like(q), jnp.zeros((), q.dtype)
         empty = RecursiveEquations.empty(_SIZE, self.k.shape[0], q.dtype)
@@ -384,7 +277,7 @@ class PayloadEstimator(eqx.Module):
     def step(
         self, state: PayloadState, q: Joints, torque: Joints, interval: float | Array
     ) -> PayloadState:
-        """The state after another sample, with the new `estimate`.
+        """Return the state after another sample, with the new `estimate`.
 
         **Arguments**
 
@@ -415,7 +308,7 @@ class PayloadEstimator(eqx.Module):
         return jax.lax.cond(due, lambda: self._updated(state), lambda: state)
 
     def _updated(self, state: PayloadState) -> PayloadState:
-        """The state after an update of the estimate."""
+        """Return the state after an update of the estimate."""
         q, qd, qdd = self.filter.read(state.motion)
         torque = self.filter.read(state.effort).value
         rows = self.network.regressor(q, qd, qdd)
@@ -435,7 +328,7 @@ class PayloadEstimator(eqx.Module):
         against: Float[Array, ""],
         moving: Bool[Array, ""],
     ) -> PayloadState:
-        """The state with the equations of another sample, and with the evidence for a change."""
+        """Return the state with another sample's equations, and the evidence for a change."""
         elapsed = jnp.where(moving, state.since_update, 0.0)
         rest_time = jnp.where(moving, 0.0, state.rest_time + state.since_update)
 
@@ -456,7 +349,7 @@ class PayloadEstimator(eqx.Module):
             disagreement_time=state.disagreement_time + elapsed,
             evidence_time=jnp.where(exceeded, state.evidence_time + elapsed, 0.0),
             long_term=updated(state.long_term, self.forgetting_time),
-            short_term=updated(state.short_term, self.short_forgetting_time),
+            short_term=updated(state.short_term, _SHORT_FORGETTING),
             candidate=candidate.reset(dropped),
             candidate_time=jnp.where(dropped, 0.0, state.candidate_time + elapsed),
             absence=absence,
@@ -464,22 +357,22 @@ class PayloadEstimator(eqx.Module):
         )
 
     def _decided(self, state: PayloadState) -> PayloadState:
-        """The state with a new estimate, after decisions on whether there is a payload."""
+        """Return the state with a new estimate, after decisions on whether there is a payload."""
         before = state.estimate
         exceeded = (before.evidence > self.evidence_threshold) & ~state.undecided
         certain = before.evidence > _CERTAIN * self.evidence_threshold
-        evident = exceeded & ((state.evidence_time > self.detection_time) | certain)
+        evident = exceeded & ((state.evidence_time > _DETECTION_TIME) | certain)
         gone, appeared = evident & before.carrying, evident & ~before.carrying
         long_term = state.long_term.replaced(state.candidate, evident)
         motion_time = jnp.where(evident, state.candidate_time, state.motion_time)
 
         change = disagreement(long_term, state.short_term)
         # A payload that is just beginning to be identified is not tested for changes.
-        exceeded = (change > self.detection_threshold) & (motion_time > self.short_forgetting_time)
+        exceeded = (change > self.detection_threshold) & (motion_time > _SHORT_FORGETTING)
         exceeded = exceeded & before.carrying & ~evident
         disagreement_time = jnp.where(exceeded, state.disagreement_time, 0.0)
         certain = exceeded & (change > _CERTAIN * self.detection_threshold)
-        changed = (disagreement_time > self.detection_time) | certain
+        changed = (disagreement_time > _DETECTION_TIME) | certain
         # Both have equations from before the change as well: none are kept.
         long_term = long_term.reset(changed)
         short_term = state.short_term.reset(changed | evident)
@@ -488,7 +381,7 @@ class PayloadEstimator(eqx.Module):
 
         estimate = self._estimate(long_term, before, change)
         undecided = state.undecided | changed | appeared
-        accurate = (estimate.mass_error < self.mass_tolerance) & (motion_time > self.detection_time)
+        accurate = (estimate.mass_error < self.mass_tolerance) & (motion_time > _DETECTION_TIME)
         significant = estimate.mass > _SIGNIFICANT * estimate.mass_error
         decidable = accurate | significant | (motion_time > _LONGEST_UNDECIDED)
         explained = likelihood_ratio(long_term, estimate.body) > self.evidence_threshold
@@ -502,7 +395,7 @@ class PayloadEstimator(eqx.Module):
         )
         undecided = (undecided & ~decidable) | ~jnp.all(jnp.isfinite(estimate.body))
         unchanged = before._replace(change=change)
-        estimate = jax.tree_util.tree_map(
+        estimate = jax.tree.map(
             lambda old, new: jnp.where(undecided, old, new), unchanged, estimate
         )
         settled = decided | gone
@@ -522,7 +415,7 @@ class PayloadEstimator(eqx.Module):
     def _estimate(
         self, equations: RecursiveEquations, before: PayloadEstimate | None, change: Array
     ) -> PayloadEstimate:
-        """The estimate from equations; decisions are those of the estimate before."""
+        """Return the estimate from equations; decisions are those of the estimate before."""
         information = equations.posterior_information
         mean = jnp.linalg.solve(information, equations.moment)
         inverse = jnp.linalg.inv(information)
@@ -539,20 +432,113 @@ class PayloadEstimator(eqx.Module):
         centre_error = jnp.where(
             mass > 2.0 * mass_error, jnp.sqrt(jnp.diagonal(centre_covariance)), jnp.full(3, jnp.inf)
         )
-        never = jnp.full((), -1.0, mass.dtype)
-        decisions = (
-            (jnp.asarray(False), never, never)
-            if before is None
-            else (before.carrying, before.picked_up, before.put_down)
-        )
-        return PayloadEstimate(
-            body,
-            covariance,
-            mass,
-            mass_error,
-            centre,
-            centre_error,
-            *decisions,
-            change,
-            jnp.zeros_like(mass) if before is None else before.evidence,
-        )
+        never, zero = jnp.full((), -1.0, mass.dtype), jnp.zeros_like(mass)
+        decisions = (jnp.asarray(False), never, never, change, zero)
+        if before is not None:
+            times = before.carrying, before.picked_up, before.put_down
+            decisions = (*times, change, before.evidence)
+        return PayloadEstimate(body, covariance, mass, mass_error, centre, centre_error, *decisions)
+
+
+_TRANSITION = 0.05  # time constant of the change of the model to a new estimate [s]
+
+
+class PayloadCompensationState(NamedTuple):
+    """The memory of a `PayloadCompensation` controller.
+
+    **Attributes**
+
+    - `feedback`: state of the feedback controller.
+    - `estimator`: state of the estimator; `estimator.estimate` is the present estimate.
+    - `body`: the compensated payload, (10,); it follows the estimate without a jump.
+    """
+
+    feedback: OutputFeedbackState
+    estimator: PayloadState
+    body: Float[Array, "10"]
+
+
+class PayloadCompensation(AbstractController):
+    """Computed-torque control that identifies and compensates a payload on-line (thesis 8.2.4).
+
+    An `OutputFeedback` and a `PayloadEstimator` share the readings. When a payload has been
+    detected, its ten parameters become part of the model that the controller inverts; when it has
+    been put down they are zero again. They change gradually, since a step in the model is a step
+    in the torque.
+
+    One robot, (n,); `jax.vmap` over several.
+
+    **Attributes**
+
+    - `controller`: with the network and the coefficients of the unloaded arm, as the estimator.
+    - `estimator`: of the payload.
+    - `compensation_gain`: 1 to compensate the estimate, 0 to estimate only.
+
+    >>> import jax, jax.numpy as jnp, numpy as np, jaxcslc as jc
+    >>> from jaxcslc.control import ComputedTorque, Reference
+    >>> from jaxcslc.payload import PayloadCompensation, PayloadEstimator
+    >>> network = jc.derive(jc.puma560())
+    >>> k = network.coefficients_from(jc.puma560().links)
+    >>> estimator = PayloadEstimator(network, k, noise=np.full(6, 1e-4))
+    >>> controller = PayloadCompensation(ComputedTorque(network, k, 20.0), estimator)
+    >>> q = jnp.zeros(6)
+    >>> step = jax.jit(lambda *inputs: controller.step(*inputs))
+    >>> torque, state = step(controller.begin(q), Reference.at_rest(q), q, 0.002)
+    >>> bool(state.estimator.estimate.carrying)
+    False
+    """
+
+    controller: ComputedTorque
+    estimator: PayloadEstimator
+    compensation_gain: float | Float[Array, ""]
+
+    def __init__(
+        self,
+        controller: ComputedTorque,
+        estimator: PayloadEstimator,
+        *,
+        compensation_gain: float | Float[Array, ""] = 1.0,
+    ) -> None:
+        """Make a controller with payload compensation.
+
+        **Arguments** are the attributes.
+
+        **Raises**
+
+        - `ValueError`: controller and estimator have different networks.
+        """
+        arm_k = controller.k[controller.network.layout.unloaded]
+        if arm_k.shape != estimator.k.shape:
+            raise ValueError(
+                f"the controller's network has {len(arm_k)} coefficients of the arm, the"
+                f" estimator's {estimator.k.shape[0]}; expected the same network"
+            )
+        k = jnp.concatenate([arm_k, jnp.zeros(10)])
+        controller = controller.with_coefficients(k, estimator.network)
+        self.controller, self.estimator = controller, estimator
+        self.compensation_gain = compensation_gain
+
+    def begin(self, q: Float[Array | np.ndarray, " joints"]) -> PayloadCompensationState:
+        """Return the state before the first sample, without payload."""
+        feedback = OutputFeedback(self.controller).begin(q)
+        return PayloadCompensationState(feedback, self.estimator.begin(q), jnp.zeros(10))
+
+    def step(
+        self,
+        state: PayloadCompensationState,
+        reference: Reference,
+        q: Float[Array | np.ndarray, " joints"],
+        interval: float | Array,
+        qd: Float[Array | np.ndarray, " joints"] | None = None,
+    ) -> tuple[Float[Array, " joints"], PayloadCompensationState]:
+        """Compute the torque command, as `AbstractController.step`, without measured velocities."""
+        del qd
+        estimate = state.estimator.estimate
+        target = jnp.where(estimate.carrying, estimate.body, jnp.zeros(10))
+        body = target + (state.body - target) * jnp.exp(-interval / _TRANSITION)
+        payload = self.controller.network.layout.payload
+        k = self.controller.k.at[payload].set(self.compensation_gain * body)
+        feedback = OutputFeedback(self.controller.with_coefficients(k))
+        torque, inner = feedback.step(state.feedback, reference, q, interval)
+        estimator = self.estimator.step(state.estimator, q, torque, interval)
+        return jnp.asarray(torque), PayloadCompensationState(inner, estimator, body)

@@ -1,4 +1,4 @@
-"""Result of fitting a payload: ten parameters, mass, centre, tensor, and their errors."""
+"""Fit of a payload to patterns: ten parameters, mass, centre, tensor, and their errors."""
 
 from typing import Any
 
@@ -9,9 +9,11 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Bool, Float, Int
 
-from ..least_squares import Identification
+from ..bodies import body_of, link_of, nearest_body
+from ..least_squares import Identification, LeastSquares, Previous, reidentify
 from ..manipulator import LinkParameters
-from ..network import PAYLOAD
+from ..network import CSLC, PAYLOAD
+from ..recordings import Patterns
 
 
 PHYSICAL = ("m", "rx", "ry", "rz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
@@ -32,13 +34,10 @@ class PayloadFit(eqx.Module):
       none was found.
 
     >>> import numpy as np, jaxcslc as jc
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(arm, lengths="numeric").with_payload()
-    >>> t = np.linspace(0, 5, 500)[:, None]
-    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
+    >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric").with_payload()
     >>> k = np.zeros(network.size)
     >>> k[network.layout.payload] = 0.01, 0.01, 0.02, 0, 0, 0, 0.1, 0, 0, 1
-    >>> patterns = jc.Patterns(t[:, 0], *motion, network.torque(k, *motion), pairs, pairs)
+    >>> patterns = jc.examples.swing(network, k, samples=500)
     >>> fit = jc.fit_payload(network, patterns, previous=np.zeros(network.layout.unloaded.stop))
     >>> print(fit.unidentifiable[0])
     pIxx: nothing in the patterns depends on it
@@ -56,8 +55,10 @@ class PayloadFit(eqx.Module):
 
     @property
     def parameters(self) -> Float[Array, "10"]:
-        """Inertia about the frame's origin, first moments and mass, in the order of
-        `jaxcslc.derivation.BODY` [kg m², kg m, kg]."""
+        """Inertia about the frame's origin, first moments and mass [kg m², kg m, kg].
+
+        In the order of `jaxcslc.derivation.BODY`.
+        """
         return self.fit.k[self._indices]
 
     @property
@@ -113,8 +114,7 @@ class PayloadFit(eqx.Module):
 
     @property
     def physical_error(self) -> Float[Array, "10"]:
-        """Standard deviation of each of `physical`; infinite where something undetermined
-        enters."""
+        """Standard deviation of each of `physical`; infinite where undetermined."""
         slope = jnp.abs(_slope(self.parameters))
         enters = slope > _NEGLIGIBLE * jnp.max(slope, axis=1, keepdims=True)
         open_ = jnp.any(enters & ~self.determined[None, :], axis=1)
@@ -152,26 +152,15 @@ class PayloadFit(eqx.Module):
         known = np.isfinite(error)
         with np.errstate(invalid="ignore"):  # infinite centre less infinite error
             interval = np.where(known[:, None], self.physical_interval(level), [-np.inf, np.inf])
-        nearest = [np.nan] * 10 if self.possible is None else _listed(self.possible)
+        nearest = np.full(10, np.nan)
+        if self.possible is not None:
+            nearest = np.asarray(_physical(jnp.asarray(body_of(self.possible))))
+        value = np.where(known, np.asarray(self.physical), np.nan)
+        columns = np.column_stack([value, error, interval, nearest]).tolist()
+        keys = ("name", "unit", "value", "standard_error", "low", "high", "possible")
         return [
-            {
-                "name": name,
-                "unit": unit,
-                "value": float(value),
-                "standard_error": float(error),
-                "low": float(low),
-                "high": float(high),
-                "possible": float(body),
-            }
-            for name, unit, value, error, (low, high), body in zip(
-                PHYSICAL,
-                _UNITS,
-                np.where(known, np.asarray(self.physical), np.nan),
-                error,
-                interval,
-                nearest,
-                strict=True,
-            )
+            dict(zip(keys, (name, unit, *row), strict=True))
+            for name, unit, row in zip(PHYSICAL, _UNITS, columns, strict=True)
         ]
 
     def document(self, level: float = 0.95) -> dict[str, Any]:
@@ -204,11 +193,81 @@ def _physical(body: Float[Array, "10"]) -> Float[Array, "10"]:
 _slope = jax.jit(jax.jacfwd(_physical))
 
 
-def _listed(link: LinkParameters) -> list[float]:
-    tensor = np.asarray(link.inertia)
-    indices = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-    return [
-        float(link.mass),
-        *np.asarray(link.centre_of_gravity).tolist(),
-        *(float(tensor[a, b]) for a, b in indices),
-    ]
+def fit_payload(
+    network: CSLC,
+    loaded: Patterns,
+    unloaded: Patterns | None = None,
+    previous: Previous | None = None,
+    *,
+    solver: LeastSquares | None = None,
+    throw: bool = True,
+) -> PayloadFit:
+    """Fit the ten inertial parameters of a payload to patterns of the loaded arm (thesis 8.2.4).
+
+    A payload and the link that carries it are one rigid body: a recording of the loaded arm alone
+    cannot tell them apart. What the arm weighs without it must come from elsewhere, so one of two
+    more things is needed:
+
+    - `unloaded`, a recording of the arm without it: the coefficients of both are fitted to both
+      recordings together. Payload columns of the unloaded one are zero.
+    - `previous`, an earlier identification of the arm, whose coefficients stay fixed
+      (`reidentify(..., groups=("payload",))`). If it is an `Identification`, its uncertainty
+      counts: the payload's covariance includes what errors of the arm's coefficients do to it.
+
+    The payload is in the frame of the link that carries it, the last one unless the network says
+    otherwise (`with_payload`). Friction that changes with the load, and an arm whose friction has
+    changed since it was identified, are taken for payload as far as they look like one.
+
+    **Arguments**
+
+    - `network`: of the arm, with or without payload.
+    - `loaded`, `unloaded`: patterns (samples, n).
+    - `previous`: an `Identification` of the arm, or its coefficients, which then count as exact.
+    - `solver`: options of the fit; the defaults of `LeastSquares` if None.
+    - `throw`: as of `LeastSquares.fit`.
+
+    **Returns** a `PayloadFit`. Runs on the host; with `unloaded` it keeps the equations of both
+    recordings in memory.
+
+    **Raises**
+
+    - `ValueError`: unless one of `unloaded` and `previous` is passed; for another network's
+      coefficients; or as `LeastSquares.fit`.
+    - `RuntimeError`: as `LeastSquares.fit`.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> robot = jc.puma560()
+    >>> network = jc.derive(robot).with_payload()
+    >>> body = jc.LinkParameters(1.5, np.array([0.02, 0.0, 0.1]), 2e-3 * np.eye(3))
+    >>> k = network.coefficients_from(robot.links, viscous=robot.viscous, payload=body)
+    >>> k = np.asarray(k)
+    >>> patterns, arm = jc.examples.swing(network, k), k[network.layout.unloaded]
+    >>> fit = jc.fit_payload(network, patterns, previous=arm)
+    >>> round(float(fit.mass), 6), np.round(fit.centre_of_gravity, 6).tolist()
+    (1.5, [0.02, 0.0, 0.1])
+    """
+    if unloaded is not None and previous is not None:
+        raise ValueError("fit_payload: got both unloaded and previous; expected one of them")
+    if unloaded is None and previous is None:
+        raise ValueError(
+            "fit_payload: a loaded recording alone cannot tell payload and last link apart;"
+            " expected one of unloaded and previous"
+        )
+    whole = network.with_payload() if network.payload is None else network
+    solver = solver or LeastSquares()
+    if previous is not None:
+        fit = reidentify(whole, loaded, previous, groups=("payload",), solver=solver, throw=throw)
+    else:
+        assert unloaded is not None
+        payload = whole.layout.indices("payload").tolist()
+        alone = solver.equations(whole, unloaded).without(payload)
+        both = solver.equations(whole, loaded).followed_by(alone, loaded.samples)
+        fit = solver.fit_equations(both, loaded.samples + unloaded.samples, throw=throw)
+    columns = whole.layout.payload
+    covariance = np.asarray(fit.independent_covariance)[columns, columns]
+    body: np.ndarray | None = np.asarray(fit.k)[columns]
+    if np.isfinite(covariance).all() and np.isfinite(body).all():
+        body = nearest_body(body, covariance, np.asarray(fit.undetermined)[:, columns])
+    else:
+        body = None
+    return PayloadFit(fit, None if body is None else link_of(body))

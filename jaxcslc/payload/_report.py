@@ -1,18 +1,21 @@
-"""Report of an identified payload: its text, CSV and JSON."""
+"""Identification of a payload from recordings, and its report: text, CSV and JSON."""
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .._text_table import text_table
-from ..least_squares import Settings, settings_document
+from ..identification import recording_named
+from ..least_squares import Previous, Settings, settings_document
 from ..manipulator import LinkParameters, Manipulator, seen_from
 from ..network import CSLC, PAYLOAD
-from ..recordings import Patterns
-from ..report import ErrorTable, all_or_nothing, write_csv, write_json
-from ._fit import PayloadFit
+from ..recordings import Patterns, Recording
+from ..report import ErrorTable, all_or_nothing, compare, write_csv, write_json
+from ..selection import choose_settings
+from ._fit import PayloadFit, fit_payload
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -31,10 +34,8 @@ class PayloadReport:
 
     >>> import numpy as np, jaxcslc as jc
     >>> network = jc.derive(jc.puma560()).with_payload()
-    >>> t, rate = np.arange(500)[:, None] * 0.01, np.arange(1.0, 7.0)
-    >>> q, qd, qdd = np.sin(rate * t), rate * np.cos(rate * t), -(rate**2) * np.sin(rate * t)
     >>> k = np.ones(network.size)
-    >>> recording = jc.Recording(t[:, 0], q, np.asarray(network.torque(k, q, qd, qdd)))
+    >>> recording = jc.examples.swing_recording(network, k, samples=500)
     >>> report = jc.identify_payload(network, recording, settings=jc.Settings(), previous=k)
     >>> report.errors.names
     ('with', 'without')
@@ -48,8 +49,10 @@ class PayloadReport:
 
     @property
     def file_body(self) -> LinkParameters | None:
-        """The possible body in the frame that the robot's URDF or MJCF gives the last joint's body;
-        None where there is no such body, or no such file."""
+        """The possible body in the frame of the last joint's body in the robot's URDF or MJCF.
+
+        None where there is no such body, or no such file.
+        """
         return in_last_body_frame(self.network.robot, self.fit.possible)
 
     def save(self, folder: str | Path) -> tuple[Path, Path]:
@@ -152,7 +155,7 @@ _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def in_last_body_frame(robot: Manipulator, body: LinkParameters | None) -> LinkParameters | None:
-    """A body in the last link's frame, in that which the file gives the body of its joint.
+    """Return a body of the last link's frame in the frame of that joint's body in the file.
 
     None of no body, and of robots that are read from no URDF or MJCF.
     """
@@ -173,3 +176,69 @@ def _document_of(robot: Manipulator, body: LinkParameters | None) -> dict[str, A
             "inertia": np.asarray(body.inertia),
         }
     }
+
+
+def identify_payload(
+    network: CSLC,
+    loaded: Recording,
+    unloaded: Recording | None = None,
+    settings: Settings | None = None,
+    *,
+    previous: Previous | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> PayloadReport:
+    """Identify a payload from a recording of the arm that carries it.
+
+    `jaxcslc payload` prints and saves the report that this function returns.
+
+    **Arguments**
+
+    - `network`: of the arm, with or without a payload's coefficients.
+    - `loaded`: the recording with the payload.
+    - `unloaded`: a recording without it: the arm's coefficients are then fitted to both recordings.
+    - `settings`: of preparation and fit; by default those that `choose_settings` finds for the
+      loaded recording.
+    - `previous`: an identification of the arm, or its coefficients, which are fixed at them. Give
+      one of `unloaded` and `previous`.
+    - `progress`: is called with a few words at the start of each step.
+
+    **Returns** a `PayloadReport`.
+
+    **Raises**
+
+    - `ValueError`: both or none of `unloaded` and `previous`; a recording that cannot be used, with
+      its name, loaded or unloaded; or as `fit_payload`.
+    - `RuntimeError`: as `fit_payload`.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> robot = jc.puma560()
+    >>> network = jc.derive(robot).with_payload()
+    >>> body = jc.LinkParameters(1.5, np.array([0.02, 0.0, 0.1]), 2e-3 * np.eye(3))
+    >>> k = network.coefficients_from(robot.links, viscous=robot.viscous, payload=body)
+    >>> k = np.asarray(k)
+    >>> recording = jc.examples.swing_recording(network, k, samples=500)
+    >>> report = jc.identify_payload(network, recording, settings=jc.Settings(), previous=k)
+    >>> round(float(report.fit.mass), 2)
+    1.5
+    """
+    step = progress or (lambda words: None)
+    network = network.with_payload() if network.payload is None else network
+    with recording_named("loaded recording"):
+        if settings is None:
+            step("choosing settings")
+            settings = choose_settings(network, loaded).settings
+        settings = settings.for_network(network)
+        step("preparing patterns")
+        patterns = settings.patterns(loaded)
+    arm = None
+    if unloaded is not None:
+        with recording_named("unloaded recording"):
+            arm = settings.patterns(unloaded)
+    step("fitting coefficients")
+    fit = fit_payload(network, patterns, arm, previous=previous, solver=settings.solver)
+    step("computing errors")
+    k = np.asarray(fit.fit.k)
+    without = k.copy()
+    without[network.layout.payload] = 0.0
+    vectors = {"with": k, "without": without}
+    return PayloadReport(network, settings, fit, patterns, compare(network, patterns, vectors))

@@ -10,6 +10,7 @@ from sim.trajectory._paths import (
     minimum_jerk as minimum_jerk,
 )
 from sim.trajectory._repulsion import HandRepulsion as HandRepulsion, Repulsion as Repulsion
+from sim.trajectory._sinusoidal_torque import SinusoidalTorque as SinusoidalTorque
 from sim.trajectory._trajectories import (
     FLANGE as FLANGE,
     Trajectory as Trajectory,

@@ -3,7 +3,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from jaxcslc.control import PID, AbstractController, SinusoidalTorque
+from jaxcslc.control import PID, AbstractController
 from jaxcslc.manipulator import Manipulator, puma560 as puma560_robot
 from sim.machine._bodies import MachineError
 from sim.machine._faults import Fault
@@ -13,6 +13,7 @@ from sim.trajectory._abbreviated_gravity import AbbreviatedGravity
 from sim.trajectory._kinematics import Hand
 from sim.trajectory._paths import AbstractPath, MinimumJerk
 from sim.trajectory._repulsion import HandRepulsion, Repulsion
+from sim.trajectory._sinusoidal_torque import SinusoidalTorque
 
 
 # The PUMA 560 around the frames of Fig. 2.6-3, in metres; not in the thesis. Frame 0 is at the

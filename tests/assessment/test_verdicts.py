@@ -10,13 +10,13 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.report import coefficient_rows, coefficient_text, degree_of_excitation, verdicts
+from tests import arms
 
 
 @pytest.fixture(scope="module")
 def arm() -> jc.CSLC:
     """One joint with an upright axis: inertia, viscous and dry friction."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    return jc.derive(robot, lengths="numeric")
+    return arms.turntable()
 
 
 def patterns_of(

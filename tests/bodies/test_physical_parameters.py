@@ -21,6 +21,7 @@ from jaxcslc.bodies._body import (
 )
 from jaxcslc.bodies._nearest_bodies import whitening
 from jaxcslc.manipulator import LinkInertia
+from tests import arms
 
 
 Links = tuple[jc.LinkParameters, ...]
@@ -53,8 +54,7 @@ def elbow() -> jc.CSLC:
 
 @pytest.fixture(scope="module")
 def pendulum() -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot, lengths="numeric")
+    return arms.pendulum()
 
 
 def spectrum(link: jc.LinkParameters) -> Float[np.ndarray, "4"]:

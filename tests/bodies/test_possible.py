@@ -11,6 +11,7 @@ import jaxcslc as jc
 from jaxcslc.bodies import JudgedPart, PossibleFit, in_file_frames, other_masses, possible_fit
 from jaxcslc.payload._report import in_last_body_frame
 from jaxcslc.uncertainty import cross_validated_error
+from tests import arms
 
 
 _ROUNDING = 1e-9
@@ -22,10 +23,7 @@ SOLVER = jc.LeastSquares(errors="independent")
 @pytest.fixture(scope="module")
 def network() -> jc.CSLC:
     """Two joints with full tensors, motors and friction."""
-    robot = jc.Manipulator.from_modified_dh(
-        [(0, 0, 0, 0), ("-pi/2", 0.1, 0, 0)], gravity=(0, -9.81, 0), name="elbow"
-    )
-    return jc.derive(robot, lengths="numeric")
+    return arms.elbow()
 
 
 @pytest.fixture(scope="module")

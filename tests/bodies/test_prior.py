@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 import jaxcslc as jc
 from jaxcslc.bodies import Known, Prior, load_prior, with_knowledge
+from tests import arms
 
 
 _ROUNDING = 1e-6  # what the covariance of a fit keeps of its equations
@@ -18,10 +19,7 @@ SOLVER = jc.LeastSquares(joint_weights="equal", errors="independent")
 
 @pytest.fixture(scope="module")
 def network() -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh(
-        [(0, 0, 0, 0), ("-pi/2", 0.1, 0, 0)], gravity=(0, -9.81, 0), name="elbow"
-    )
-    return jc.derive(robot, lengths="numeric")
+    return arms.elbow()
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,7 @@ from jaxcslc.checks._sample_findings import (
     sample_findings,
     time_unit,
 )
+from tests import arms
 from tests.conftest import run
 
 
@@ -273,8 +274,7 @@ def test_motion_that_goes_on_in_a_gap_is_no_outlier() -> None:
 
 def test_a_mass_that_no_torque_shows_is_not_named() -> None:
     """Of an upright axis: a body is felt, and not what it weighs."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    network = jc.derive(robot, lengths="numeric")
+    network = arms.turntable()
     t = np.arange(3000)[:, None] * 0.004
     phase = 3 * t + np.sin(7 * t)
     q, qd = np.sin(phase), (3 + 7 * np.cos(7 * t)) * np.cos(phase)

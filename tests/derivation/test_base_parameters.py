@@ -9,6 +9,7 @@ from sympy import QQ
 from sympy.polys.matrices import DomainMatrix
 
 import jaxcslc
+import jaxcslc as jc
 from jaxcslc.derivation import Algebra, PositionRing, derive_algebra, link_twists
 from jaxcslc.derivation._chain import exact_number
 from jaxcslc.derivation._lagrange import InertialTerm, gravity_vector, inertial_terms, mass_matrix
@@ -179,7 +180,7 @@ def test_pinocchios_torque_needs_nothing_else(
 
 
 def test_gravity_decides_what_is_visible() -> None:
-    planar = Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    planar = jc.examples.pendulum()
     assert [
         coefficient.expression for coefficient in derive_algebra(planar, "numeric").coefficients
     ] == [*("Izz1 + Im1", "m1*rx1", "m1*ry1")]

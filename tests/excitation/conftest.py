@@ -11,18 +11,18 @@ if TYPE_CHECKING:
 @pytest.fixture(scope="session")
 def pendulum_planner() -> "Planner":
     """Of a pendulum with friction: quick to compile."""
-    import jaxcslc as jc
     from jaxcslc.excitation import BSplines, Knowledge, Limits, Noise, Planner
+    from tests import arms
 
-    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    network = jc.derive(arm, lengths="numeric")
+    network = arms.pendulum()
     knowledge = Knowledge(np.array([0.5, 2.0, 0.1, 0.2, 0.3]), None, np.full(5, np.inf))
-    limits = Limits.of(
-        arm, {"position": [-2, 2], "velocity": 3, "torque": 30, "torque_margin": 0.0}
-    )
+    stated = {"position": [-2, 2], "velocity": 3, "torque": 30, "torque_margin": 0.0}
+    limits = Limits.of(network.robot, stated)
     return Planner.of(network, limits, Noise(0.1, 1e-4), BSplines(3.0, 8), knowledge=knowledge)
 
 
 @pytest.fixture(scope="session")
 def pendulum_design(pendulum_planner: "Planner") -> "Design":
-    return pendulum_planner.design(0, 1, 3, 15, lambda _: None)
+    from jaxcslc.excitation import Effort
+
+    return pendulum_planner.design(0, Effort(1, 3, 15))

@@ -81,8 +81,7 @@ def test_the_trajectory_is_yaml_and_json(folder: Path) -> None:
 
 
 def test_offsets_that_the_model_has_are_no_noise() -> None:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.4, 0, 0)], gravity=(0, -9.81, 0))
-    robot = robot.with_friction("viscous", "asymmetric_dry", joint=2)
+    robot = jc.examples.planar_arm().with_friction("viscous", "asymmetric_dry", joint=2)
     network = jc.derive(robot, lengths="numeric")
     before = _Before(network, Knowledge.of_robot(network))
     limits = Limits.of(robot, {"position": [-1, 1], "velocity": 1, "torque": [30, 20]})

@@ -16,6 +16,8 @@ from jaxcslc.excitation import (
     BSplines,
     DenseCheck,
     Design,
+    Effort,
+    Goal,
     Knowledge,
     Limits,
     Noise,
@@ -25,10 +27,10 @@ from jaxcslc.excitation import (
     family_named,
     random_parameters,
 )
-from jaxcslc.excitation._criteria import body_variances, log_criterion
+from jaxcslc.excitation._criteria import body_prior, body_variances, log_criterion
 from jaxcslc.excitation._information import Moments
 from jaxcslc.excitation._search import Multipliers, _no_contacts
-from jaxcslc.excitation._task import body_prior
+from tests import arms
 
 
 def test_all_limits_hold_on_a_much_finer_grid(pendulum_design: Design) -> None:
@@ -56,7 +58,7 @@ def test_it_is_better_than_random_motions(
 def test_the_same_seed_gives_the_same_design(
     pendulum_planner: Planner, pendulum_design: Design
 ) -> None:
-    again = pendulum_planner.design(0, 1, 3, 15, lambda _: None)
+    again = pendulum_planner.design(0, Effort(1, 3, 15))
     np.testing.assert_array_equal(again.parameters, pendulum_design.parameters)
 
 
@@ -65,7 +67,7 @@ def test_an_interrupted_search_returns_the_best_so_far(pendulum_planner: Planner
         if text.startswith("refining, round 1"):
             raise KeyboardInterrupt
 
-    design = pendulum_planner.design(0, 1, 3, 15, interrupt)
+    design = pendulum_planner.design(0, Effort(1, 3, 15), interrupt)
     assert design.use.feasible
     assert "interrupted" in design.notes[-1]
 
@@ -134,12 +136,11 @@ def test_criteria_follow_their_definitions(
 
 def two_links() -> jc.CSLC:
     """An arm in a plane with bodies off their axes."""
-    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.4, 0, 0)], gravity=(0, -9.81, 0))
     links = (
         jc.LinkParameters(3.0, np.array([0.2, 0.01, 0.0]), np.diag([0.02, 0.05, 0.06]), 0.1),
         jc.LinkParameters(1.0, np.array([0.1, 0.0, 0.02]), np.diag([0.004, 0.01, 0.012]), 0.0),
     )
-    arm = dataclasses.replace(arm, links=links)
+    arm = dataclasses.replace(jc.examples.planar_arm(), links=links)
     return jc.derive(arm, lengths="numeric")
 
 
@@ -179,8 +180,9 @@ def test_errors_of_bodies_begin_at_what_the_file_leaves_open() -> None:
 def test_a_design_for_bodies_is_better_than_its_start() -> None:
     network = two_links()
     limits = Limits.of(network.robot, {"position": [-2, 2], "velocity": 3, "torque": 80})
-    planner = Planner.of(network, limits, Noise(0.5, 1e-3), BSplines(2.0, 5), criterion="bodies")
-    design = planner.design(0, 1, 2, 8, lambda _: None)
+    goal = Goal("bodies")
+    planner = Planner.of(network, limits, Noise(0.5, 1e-3), BSplines(2.0, 5), goal=goal)
+    design = planner.design(0, Effort(1, 2, 8))
     start = random_parameters(
         planner.check, planner.rest_pose(np.random.default_rng(0)), np.random.default_rng(0)
     )
@@ -218,10 +220,9 @@ def test_other_limits_compile_nothing_more(pendulum_planner: Planner) -> None:
 
 
 def test_an_infeasible_wish_names_the_limit() -> None:
-    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    network = jc.derive(arm.with_friction("viscous"), lengths="numeric")
+    network = arms.pendulum("viscous")
     knowledge = Knowledge(np.array([0.5, 2.0, 3.0, 0.2]), None, np.full(4, np.inf))
-    limits = Limits.of(arm, {"position": [-0.1, 0.1], "velocity": 3, "torque": 1})
+    limits = Limits.of(network.robot, {"position": [-0.1, 0.1], "velocity": 3, "torque": 1})
     with pytest.raises(ValueError, match="at rest in any of 200 poses, torque of joint 1"):
         design_motion(network, limits, Noise(0.1), duration=1.0, knowledge=knowledge)
 
@@ -229,10 +230,8 @@ def test_an_infeasible_wish_names_the_limit() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"criterion": "other"}, "criterion: expected overall, error, "),
-        ({"criterion": "D", "task": (0, 0, 0)}, "criterion 'D' has no task; expected overall or"),
-        ({"criterion": "bodies"}, "criterion 'bodies': the file of .* has no masses"),
-        ({"wanted": ["kd9"]}, "'kd9' is no coefficient or group"),
+        ({"goal": Goal("bodies")}, "criterion 'bodies': the file of .* has no masses"),
+        ({"goal": Goal(wanted=["kd9"])}, "'kd9' is no coefficient or group"),
         ({"family": "other"}, "family: expected splines, fourier, periodic, moves, got 'other'"),
         ({"start": np.zeros(2)}, "start: expected 1 positions"),
     ],
@@ -249,6 +248,13 @@ def test_arguments_that_do_not_fit_are_named(
         )
 
 
+def test_wrong_goals_are_named() -> None:
+    with pytest.raises(ValueError, match="criterion: expected overall, error, "):
+        Goal("other")
+    with pytest.raises(ValueError, match="criterion 'D' has no task; expected overall or"):
+        Goal("D", task=(0, 0, 0))
+
+
 @pytest.mark.parametrize(
     ("stated", "message"),
     [
@@ -260,9 +266,8 @@ def test_arguments_that_do_not_fit_are_named(
     ],
 )
 def test_wrong_limits_are_named(stated: dict[str, Any], message: str) -> None:
-    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)])
     with pytest.raises(ValueError, match=message):
-        Limits.of(arm, stated)
+        Limits.of(jc.examples.pendulum(), stated)
 
 
 def test_limits_of_mjcf_files_are_kept(tmp_path: Path) -> None:
@@ -292,19 +297,18 @@ def test_margins_name_joints_as_the_robot_does() -> None:
 
 
 def test_margins_of_positions_are_kept_back_at_both_ends() -> None:
-    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)] * 2)
     stated = {"position": [[-1, 1], [0, 2]], "velocity": 1, "position_margin": [0.1, 0.2]}
-    limits = Limits.of(arm, stated)
+    limits = Limits.of(jc.examples.planar_arm(), stated)
     np.testing.assert_allclose(limits.low, [-0.9, 0.2])
     np.testing.assert_allclose(limits.high, [0.9, 1.8])
 
 
 def test_torque_between_samples_counts() -> None:
     """A check at few samples says at least what one at many samples finds."""
-    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    network = jc.derive(arm, lengths="numeric")
+    network = arms.pendulum()
     k = np.array([0.5, 2.0, 0.1, 0.2, 0.3])
-    limits = Limits.of(arm, {"position": [-2, 2], "velocity": 3, "torque": 30, "power": 40})
+    stated = {"position": [-2, 2], "velocity": 3, "torque": 30, "power": 40}
+    limits = Limits.of(network.robot, stated)
     family = BSplines(2.0, 8)
     parameters = np.random.default_rng(0).normal(size=(family.size, 1))
     coarse, fine = (
@@ -346,7 +350,7 @@ def test_a_motion_at_its_limit_of_torque_is_hardly_shrunk(pendulum_planner: Plan
     limits = Limits.of(network.robot, stated)
     family = pendulum_planner.family
     planner = Planner.of(network, limits, Noise(0.1, 1e-4), family, knowledge=knowledge)
-    design = planner.design(0, 1, 4, 30, lambda _: None)
+    design = planner.design(0, Effort(1, 4, 30))
     assert design.use.feasible
     assert design.use.joints["torque"].max() > 0.95
     assert design.scale > 0.995

@@ -13,7 +13,6 @@ FAMILIES = [
     FourierSeries(5.0, 5, periodic=False),
     BSplines(5.0, 12),
     MinimumJerkMoves(5.0, 4),
-    MinimumJerkMoves(5.0, 4, overlap=0.4),
 ]
 JOINTS = 3
 
@@ -93,7 +92,6 @@ def test_periodic_series_end_where_they_start(rng: np.random.Generator) -> None:
         (lambda: BSplines(1.0, 2), "intervals: expected 3 or more, got 2"),
         (lambda: FourierSeries(1.0, 1), "harmonics: expected 2 or more, got 1"),
         (lambda: MinimumJerkMoves(1.0, 0), "moves: expected 1 or more, got 0"),
-        (lambda: MinimumJerkMoves(1.0, 2, 0.7), "overlap is 0.7; expected from 0 to 0.5"),
     ],
 )
 def test_wrong_sizes_are_named(make: Callable[[], AbstractFamily], message: str) -> None:

@@ -48,10 +48,10 @@ def robot_with(folder: Path, mesh: str) -> jc.Manipulator:
 def test_meshes_are_looked_for_as_ros_does(tmp_path: Path, mesh: str) -> None:
     surroundings = Surroundings(spheres=(((1.0, 0.0, 0.0), 0.15),), floor=-0.4)
     bodies = CollisionBodies.of(robot_with(tmp_path, mesh), surroundings)
-    distance, _, _ = bodies.distances(np.zeros(1), 2.0)
+    distance, _ = bodies.distances(np.zeros(1), 2.0)
     # From the cube's face to the sphere, and from its lower face to the floor.
     np.testing.assert_allclose(np.sort(distance), [1.0 - 0.15 - 0.6, 0.4 - 0.1], atol=1e-6)
-    turned, _, _ = bodies.distances(np.array([np.pi / 4]), 2.0)
+    turned, _ = bodies.distances(np.array([np.pi / 4]), 2.0)
     corner = np.array([np.cos(np.pi / 4), np.sin(np.pi / 4)])
     nearest = 0.5 * corner + 0.1 * corner + 0.1 * np.array([corner[1], -corner[0]])
     gap = float(np.linalg.norm([1.0, 0.0] - nearest)) - 0.15
@@ -85,16 +85,15 @@ boxes = [[[0.6, 0, 0.2], [0.2, 0.2, 0.4]]]
 spheres = [[[0, 0.7, 0.5], [0.1]]]
 radius = [0.06, 0.05, 0.05, 0.05, 0.05, 0.05]
 ignore = [["link 1", "link 3"]]
-distances = "coal"
 """
 
 
 def test_all_surroundings_of_a_file_are_read(tmp_path: Path) -> None:
     path = tmp_path / "limits.toml"
     path.write_text(LIMITS)
-    limits, surroundings = load_limits(path, jc.puma560())
+    limits = load_limits(path, jc.puma560())
     assert limits.velocity.tolist() == [1.5] * 6
-    assert surroundings == Surroundings(
+    assert limits.surroundings == Surroundings(
         clearance=0.03,
         self_collision=False,
         floor=-0.1,
@@ -103,14 +102,13 @@ def test_all_surroundings_of_a_file_are_read(tmp_path: Path) -> None:
         spheres=(((0.0, 0.7, 0.5), 0.1),),
         radius=(0.06, 0.05, 0.05, 0.05, 0.05, 0.05),
         ignore=(("link 1", "link 3"),),
-        distances="coal",
     )
 
 
 def test_without_the_table_nothing_is_watched(tmp_path: Path) -> None:
     path = tmp_path / "limits.toml"
     path.write_text("[joints]\nvelocity = 1.5\n")
-    assert load_limits(path, jc.puma560())[1] is None
+    assert load_limits(path, jc.puma560()).surroundings is None
 
 
 @pytest.mark.parametrize(
@@ -122,7 +120,6 @@ def test_without_the_table_nothing_is_watched(tmp_path: Path) -> None:
         ("workspace = [[0, 0], [1, 1]]", "surroundings, workspace: expected 3 and 3 numbers in m"),
         ("boxes = [[[0, 0, 0], [1, 1]]]", "surroundings, boxes: expected 3 and 3 numbers in m"),
         ("spheres = [[[0, 0, 0], [1, 2]]]", "surroundings, spheres: expected 3 and 1 numbers in m"),
-        ("distances = 'fcl'", "surroundings, distances: expected mujoco or coal, got 'fcl'"),
     ],
 )
 def test_wrong_surroundings_are_named_with_their_file(

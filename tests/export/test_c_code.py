@@ -10,6 +10,7 @@ import pytest
 from jaxtyping import Float
 
 import jaxcslc as jc
+from tests import arms
 
 
 Compiled = Callable[[jc.CCode], Callable[..., Float[np.ndarray, "..."]]]
@@ -201,8 +202,7 @@ def test_constants_that_overflow() -> None:
 @pytest.mark.parametrize("kind", ["dry", "asymmetric_dry", "static", "asymmetric_viscous"])
 def test_a_velocity_that_is_no_number(kind: str, compiled: Compiled) -> None:
     """It gives no torque, rather than one without friction."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    network = jc.derive(robot.with_friction(kind), lengths="numeric")
+    network = arms.turntable(kind)
     k, still = np.ones(network.size), np.zeros(1)
     call = compiled(jc.c_code(network, k))
     assert np.isnan(call("torque", still, np.array([np.nan]), still, size=1)).all()

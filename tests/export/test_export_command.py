@@ -1,6 +1,7 @@
 """`jaxcslc export`: what it takes for an identification of a robot, and where it writes."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -134,6 +135,12 @@ def test_the_robots_own_file(arm: Path, tmp_path: Path) -> None:
     result = run(arm, path, "-o", arm, "--overwrite")
     assert result.exit_code == 0, result.output
     assert "mass = " in arm.read_text()
+    columns = re.split(r"(?<=\]) +", result.output.splitlines()[2].strip())
+    assert columns == [
+        *("mass [kg]", "rx [m]", "ry [m]", "rz [m]"),
+        *(f"I{axes} [kg m²]" for axes in ("xx", "yy", "zz", "xy", "xz", "yz")),
+        "motor_inertia [kg m²]",
+    ]
 
 
 def _first(document: dict[str, Any], name: str, value: Any) -> None:

@@ -9,13 +9,14 @@ from typer.testing import CliRunner
 import jaxcslc as jc
 from jaxcslc.cli._app import app
 from jaxcslc.selection import FrictionChoice, choose_friction
+from tests import arms
 
 
 TRUE = (("viscous", "dry", "offset"), ("viscous", "dry", "static"))
 
 
 def arm() -> jc.Manipulator:
-    return jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0))
+    return jc.examples.planar_arm()
 
 
 def recording(network: jc.CSLC, noise: float = 0.02) -> jc.Recording:
@@ -114,8 +115,7 @@ class TestFrictionOfEachDirection:
 
 def test_an_offset_that_gravity_explains_is_not_used() -> None:
     """In a range of 0.06 rad, sine and cosine of gravity are a constant and a line."""
-    pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    network = jc.derive(pendulum, lengths="numeric")
+    network = arms.pendulum()
     t = 0.01 * np.arange(1500)[:, None]
     motion = 0.03 * np.sin(2 * t) + 0.7, 0.06 * np.cos(2 * t), -0.12 * np.sin(2 * t)
     true = network.with_joint_friction([("viscous", "dry", "offset")])

@@ -12,7 +12,7 @@ from jaxcslc.friction import fit_load
 from jaxcslc.selection import choose_friction
 
 
-ARM = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0))
+ARM = jc.examples.planar_arm()
 TIME = 0.01 * np.arange(1500)[:, None]
 NOISE = 0.02
 

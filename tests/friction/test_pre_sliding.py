@@ -10,15 +10,11 @@ from numpy.testing import assert_allclose
 import jaxcslc as jc
 from jaxcslc.friction import contact_states, fit_pre_sliding
 from jaxcslc.instruments import simulate
+from tests import arms
 from tests.yielding_motion import yielding_motion
 
 
 INERTIA, WEIGHT, VISCOUS, DRY, LENGTH = 0.4, 3.0, 0.3, 0.8, 0.03
-
-
-def network(*friction: str) -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot.with_friction(*friction), lengths="numeric")
 
 
 def test_the_state_is_that_of_the_differential_equation() -> None:
@@ -67,7 +63,7 @@ def patterns(swing: tuple[np.ndarray, ...], noise: float) -> jc.Patterns:
 
 
 def test_length_and_coefficients_of_a_simulated_joint(swing: tuple[np.ndarray, ...]) -> None:
-    model = network("viscous", "dry")
+    model = arms.pendulum("viscous", "dry")
     pairs = patterns(swing, 0.02)
     result = fit_pre_sliding(model, pairs)
     assert_allclose(result.presliding_distance, LENGTH, rtol=0.05)
@@ -86,7 +82,7 @@ def test_slow_pairs_that_are_judged_but_not_fitted(swing: tuple[np.ndarray, ...]
     states = pairs.q, pairs.qd, pairs.qdd, pairs.torque
     masked = jc.Patterns(pairs.time, *states, fast, np.ones_like(fast))
     judged = np.ones_like(fast)  # a gain as large as its spread over stretches does here
-    result = fit_pre_sliding(network("viscous", "dry"), masked, judged=judged, chance=0.5)
+    result = fit_pre_sliding(arms.pendulum("viscous", "dry"), masked, judged=judged, chance=0.5)
     assert_allclose(result.presliding_distance, LENGTH, rtol=0.1)
     w = np.asarray(contact_states(swing[1], result.presliding_distance, np.zeros(1)))
     columns = np.stack([swing[3], 9.81 * np.cos(swing[1]), -9.81 * np.sin(swing[1])], axis=2)
@@ -97,7 +93,7 @@ def test_slow_pairs_that_are_judged_but_not_fitted(swing: tuple[np.ndarray, ...]
 
 def test_torque_along_a_motion_goes_on_from_a_state(swing: tuple[np.ndarray, ...]) -> None:
     _, *motion, torque, w = swing
-    result = fit_pre_sliding(network("viscous", "dry"), patterns(swing, 0.02))
+    result = fit_pre_sliding(arms.pendulum("viscous", "dry"), patterns(swing, 0.02))
     whole, end = result.torque(*motion)
     assert_allclose(whole, torque, atol=0.05)
     assert_allclose(end, w[-1], atol=0.05)
@@ -108,7 +104,7 @@ def test_torque_along_a_motion_goes_on_from_a_state(swing: tuple[np.ndarray, ...
 
 def test_simulated_motion_is_that_of_another_integrator(swing: tuple[np.ndarray, ...]) -> None:
     time, q, qd, _, torque, w = swing
-    model = network("viscous", "dry")
+    model = arms.pendulum("viscous", "dry")
     true = {"kB1": INERTIA, "kB2": WEIGHT / 9.81, "kv1": VISCOUS, "kd1": DRY}
     k = np.array([true.get(name, 0.0) for name in model.names])
     # Torque that is held: the mean over each interval, by the trapezium.
@@ -125,7 +121,7 @@ def test_simulated_motion_is_that_of_another_integrator(swing: tuple[np.ndarray,
 
 
 def test_motion_that_slides_keeps_the_sign() -> None:
-    model = network("viscous", "dry")
+    model = arms.pendulum("viscous", "dry")
     t = 0.01 * np.arange(1500)[:, None]
     motion = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
     k = np.array([0.5, 0.3, -0.1, 0.2, 0.4])
@@ -139,7 +135,7 @@ def test_motion_that_slides_keeps_the_sign() -> None:
 
 
 def test_a_network_without_dry_friction() -> None:
-    model = network("viscous")
+    model = arms.pendulum("viscous")
     t = 0.01 * np.arange(50)[:, None]
     pairs = np.ones(t.shape, bool)
     with pytest.raises(ValueError, match="has no friction of kind 'dry'"):

@@ -16,7 +16,7 @@ LENGTH = 0.04
 
 
 def arm() -> jc.Manipulator:
-    return jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0))
+    return jc.examples.planar_arm()
 
 
 def yielding(q: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ _ROUNDING, _SEARCH = 1e-12, 0.02
 
 
 def pendulum() -> jc.Manipulator:
-    return jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    return jc.examples.pendulum()
 
 
 def swing(network: jc.CSLC, seed: int, *, yields: bool) -> jc.Recording:

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.bodies import Known, Prior
+from tests import arms
 
 
 K = np.array([0.5, 0.3, -0.1, 0.2, 0.4])  # inertia, two of gravity, viscous and dry friction
@@ -18,8 +19,7 @@ STEP = 2e-3  # of the encoder [rad]
 
 @pytest.fixture(scope="module")
 def network() -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot, lengths="numeric")
+    return arms.pendulum()
 
 
 def swing(

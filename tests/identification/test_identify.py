@@ -7,7 +7,7 @@ import jaxcslc as jc
 
 def test_joints_that_lose_static_friction_mask_their_slow_pairs_again() -> None:
     """Dry friction alone: the slope is not determined, and slow pairs have no term any more."""
-    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    arm = jc.examples.pendulum()
     network = jc.derive(arm.with_friction("viscous", "dry"), lengths="numeric")
     t = np.arange(2000)[:, None] * 0.01
     q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)

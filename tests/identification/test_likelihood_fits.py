@@ -11,6 +11,7 @@ import jaxcslc as jc
 from jaxcslc.identification import Likelihood, _maximum_likelihood
 from jaxcslc.identification._exclusions import Request
 from jaxcslc.likelihood import MaximumLikelihood
+from tests import arms
 
 
 OPTIONS = MaximumLikelihood(torque_sampling="held", every=1)
@@ -18,8 +19,7 @@ OPTIONS = MaximumLikelihood(torque_sampling="held", every=1)
 
 @pytest.fixture(scope="module")
 def network() -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot.with_friction("viscous", "dry", "static"), lengths="numeric")
+    return arms.pendulum("viscous", "dry", "static")
 
 
 @pytest.fixture(scope="module")

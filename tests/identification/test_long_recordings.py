@@ -11,6 +11,7 @@ import jaxcslc as jc
 from jaxcslc.cli._progress_lines import PASSED, progress_lines
 from jaxcslc.least_squares import KeptRows, _compiled, equations_of, rows_of, torque_of
 from jaxcslc.selection import section_of
+from tests import arms
 
 
 _FORGOTTEN = 1e-8  # what a filter remembers beyond the part of its neighbours that a stretch has
@@ -18,10 +19,7 @@ _FORGOTTEN = 1e-8  # what a filter remembers beyond the part of its neighbours t
 
 @pytest.fixture(scope="module")
 def network() -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh(
-        [(0, 0, 0, 0), ("-pi/2", 0.1, 0, 0)], gravity=(0, -9.81, 0), name="elbow"
-    )
-    return jc.derive(robot, lengths="numeric")
+    return arms.elbow()
 
 
 @pytest.fixture(scope="module")

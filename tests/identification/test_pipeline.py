@@ -20,6 +20,7 @@ from jaxcslc.identification import (
 )
 from jaxcslc.identification._exclusions import EXCLUSIONS, FEATURES, Request, excluded
 from jaxcslc.identification._problem import Problem, prepare, with_friction
+from tests import arms
 
 
 K = np.array([0.5, 0.3, -0.1, 0.2, 0.4])  # inertia, two of gravity, viscous and dry friction
@@ -28,8 +29,7 @@ NOISE = 0.02
 
 @pytest.fixture(scope="module")
 def network() -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot, lengths="numeric")
+    return arms.pendulum()
 
 
 def swing(network: jc.CSLC, seed: int, samples: int = 1200, noise: float = NOISE) -> jc.Recording:
@@ -91,8 +91,7 @@ def test_an_estimator_needs_no_more_than_a_fit(network: jc.CSLC, weight: float) 
 
 def test_direct_dynamics_is_an_estimator() -> None:
     """Torques under a known controller give the coefficients; no note tests for a bias."""
-    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    network = jc.derive(arm.with_friction("viscous"), lengths="numeric")
+    network = arms.turntable("viscous")
     t = np.arange(1000)[:, None] * 0.002
     desired = Reference(0.5 - 0.5 * np.cos(4 * t), 2 * np.sin(4 * t), 8 * np.cos(4 * t))
     motion = jc.instruments.ControlledMotion(

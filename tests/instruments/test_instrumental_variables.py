@@ -15,6 +15,7 @@ from jaxcslc.instruments._estimators import (
     wide_rows,
 )
 from jaxcslc.least_squares import Equations, Unknowns
+from tests import arms
 
 
 ROUNDING = 1e-9
@@ -120,8 +121,7 @@ class TestExogeneity:
 
 @pytest.fixture(scope="module")
 def arm() -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
+    return arms.planar_arm("viscous", "dry")
 
 
 SAMPLES, INTERVAL = 1500, 0.004

@@ -9,19 +9,14 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.instruments import file_coefficients, prediction_error, simulate
+from tests import arms
 from tests.yielding_motion import yielding_motion
-
-
-def pendulum(*friction: str) -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot.with_friction(*friction), lengths="numeric")
 
 
 class TestSimulation:
     def test_sliding_to_rest(self) -> None:
         """Dry friction alone: a parabola until v / (F / M), and rest from then on."""
-        robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-        network = jc.derive(robot.with_friction("dry"), lengths="numeric")
+        network = arms.turntable("dry")
         speed, inertia, dry = 1.3, 2.0, 4.0
         start = np.zeros((1, 1))
         path = simulate(
@@ -47,10 +42,7 @@ class TestSimulation:
             '<mujoco><option gravity="0 -9.81 0" timestep="0.0005" integrator="RK4"/><worldbody>'
             f"{bodies}{'</body>' * 2}</worldbody></mujoco>"
         )
-        robot = jc.Manipulator.from_modified_dh(
-            [(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0)
-        ).with_friction("viscous")
-        network = jc.derive(robot, lengths="numeric")
+        network = arms.planar_arm("viscous")
         parameters = [
             jc.manipulator.LinkParameters(
                 mass, np.array([centre, 0.0, 0.0]), np.diag([1e-3, inertia, inertia])
@@ -85,10 +77,7 @@ class TestPreSliding:
 
     @staticmethod
     def arm() -> tuple[jc.CSLC, np.ndarray]:
-        robot = jc.Manipulator.from_modified_dh(
-            [(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0)
-        ).with_friction("viscous", "dry")
-        network = jc.derive(robot, lengths="numeric")
+        network = arms.planar_arm("viscous", "dry")
         link = jc.manipulator.LinkParameters(1.0, np.array([0.2, 0.0, 0.0]), 0.02 * np.eye(3))
         k = network.coefficients_from([link, link], viscous=[0.3, 0.3], dry=[0.8, 0.4])
         return network, np.array(k)
@@ -114,8 +103,7 @@ class TestPreSliding:
 
     def test_a_contact_that_bears_the_torque_is_at_rest(self) -> None:
         """In equilibrium nothing moves, however stiff the contact; another state lets it go."""
-        robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-        network = jc.derive(robot.with_friction("dry"), lengths="numeric")
+        network = arms.turntable("dry")
         start, push = np.zeros((3, 1)), np.full((500, 3, 1), 3.0)
         contact = np.array([[0.75], [0.75 - 1e-6], [-0.75]])
         path = simulate(
@@ -132,8 +120,7 @@ class TestPreSliding:
 
     def test_a_short_length_is_friction_that_follows_the_sign(self) -> None:
         """Sliding to rest, a parabola."""
-        robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-        network = jc.derive(robot.with_friction("dry"), lengths="numeric")
+        network = arms.turntable("dry")
         start, no_torque = np.zeros((1, 1)), np.zeros((200, 1, 1))
         arguments = network, np.array([2.0, 4.0]), start, start + 1.3, no_torque, 0.01
         path = simulate(*arguments, presliding_distance=np.array([1e-6]), contact=np.ones((1, 1)))
@@ -175,7 +162,7 @@ class TestPreSliding:
 
 @pytest.fixture(scope="module")
 def recording() -> tuple[jc.CSLC, np.ndarray, jc.Recording]:
-    network = pendulum("viscous", "dry")
+    network = arms.pendulum("viscous", "dry")
     k = np.array([0.5, 0.3, -0.1, 0.2, 0.3])
     t = 0.01 * np.arange(800)[:, None]
     motion = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
@@ -215,7 +202,7 @@ class TestHorizon:
         assert robot.links is not None
         expected = network.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)
         assert_allclose(k, expected)
-        assert file_coefficients(pendulum("dry")) == {}
+        assert file_coefficients(arms.pendulum("dry")) == {}
 
     def test_the_distance_of_the_last_frame(self) -> None:
         """Joint 2, half a metre from joint 1's axis, is off by the chord of joint 1's error."""

@@ -9,6 +9,7 @@ from jaxcslc.control import PID, Reference
 from jaxcslc.instruments import AbstractSimulatedMotion, ControlledMotion, CorrectedMotion
 from jaxcslc.instruments._simulation import simulated_derivatives
 from jaxcslc.recordings import Recording
+from tests import arms
 
 
 SAMPLES = 500
@@ -53,8 +54,7 @@ def test_recorded_torques_make_the_recorded_motion(
 
 @pytest.fixture(scope="module")
 def pendulum() -> jc.CSLC:
-    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(arm.with_friction("viscous"), lengths="numeric")
+    return arms.pendulum("viscous")
 
 
 K = np.array([0.5, 0.3, -0.1, 0.2])

@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 import jaxcslc as jc
 from jaxcslc.instruments import simulate
 from jaxcslc.instruments._simulation import Friction
+from tests import arms
 from tests.yielding_motion import yielding_motion
 
 
@@ -155,8 +156,7 @@ def to_event(
 class TestMotion:
     def test_sliding_to_rest_and_back(self) -> None:
         """Constant torque against the motion: two parabolas, or one and rest, exactly."""
-        robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-        network = jc.derive(robot.with_friction("dry"), lengths="numeric")
+        network = arms.turntable("dry")
         inertia, dry, speed = 2.0, 4.0, 1.3
         push = np.array([0.0, -3.9, -4.1, -20.0])[:, None]
         still, t = np.zeros((4, 1)), 0.01 * np.arange(201)[:, None]

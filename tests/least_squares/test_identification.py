@@ -14,14 +14,14 @@ from scipy.stats import t as student
 
 import jaxcslc as jc
 from jaxcslc.uncertainty import HeldOut, cross_validated_error, held_out_error
+from tests import arms
 from tests.patterns import ORDINARY, Motion, patterns_of
 
 
 @pytest.fixture(scope="module")
 def arm() -> jc.CSLC:
     """One joint with an upright axis: inertia, viscous and dry friction."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    return jc.derive(robot, lengths="numeric")
+    return arms.turntable()
 
 
 TRUE = jnp.array([0.5, 2.0, 1.0])

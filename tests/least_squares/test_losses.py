@@ -15,6 +15,7 @@ import jaxcslc as jc
 from jaxcslc.least_squares._least_squares import check_choice
 from jaxcslc.least_squares._losses import LOSSES, Loss, influence, robust_scale, slope, weight
 from jaxcslc.least_squares._standard_errors import ERRORS
+from tests import arms
 from tests.patterns import ORDINARY, Motion, patterns_of
 
 
@@ -24,8 +25,7 @@ ROBUST: tuple[Loss, ...] = ("huber", "bisquare")
 @pytest.fixture(scope="module")
 def arm() -> jc.CSLC:
     """One joint with an upright axis: inertia, viscous and dry friction."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    return jc.derive(robot, lengths="numeric")
+    return arms.turntable()
 
 
 TRUE = np.array([0.5, 2.0, 1.0])

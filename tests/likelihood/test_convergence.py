@@ -17,14 +17,10 @@ from jaxcslc.likelihood._problem import LikelihoodProblem
 from jaxcslc.likelihood._search import with_common_shafts, with_intervals
 from jaxcslc.likelihood._search_state import SIGN_STEPS, Stage, objective_of, with_signs
 from jaxcslc.likelihood._start import starting_point
+from tests import arms
 
 
 COUNT = 1e-4
-
-
-def pendulum(*friction: str) -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot.with_friction(*friction), lengths="numeric")
 
 
 def swing(seed: int, samples: int, noise: float) -> jc.Recording:
@@ -40,7 +36,9 @@ def swing(seed: int, samples: int, noise: float) -> jc.Recording:
     qdd = np.sum(
         [-size * speed**2 * np.sin(speed * time + phase) for size, speed, phase in parts], axis=0
     )
-    torque = np.asarray(pendulum("viscous").torque(np.array([0.5, 0.3, -0.1, 0.2]), q, qd, qdd))
+    torque = np.asarray(
+        arms.pendulum("viscous").torque(np.array([0.5, 0.3, -0.1, 0.2]), q, qd, qdd)
+    )
     torque = torque + np.sign(qd) * (1 - 0.9 * np.exp(-0.3 * np.abs(qd)))
     torque = torque + noise * rng.normal(size=torque.shape)
     return jc.Recording(time[:, 0], COUNT * np.round(q / COUNT), torque)
@@ -61,7 +59,7 @@ def start(
 @pytest.fixture(scope="module")
 def viscous() -> tuple[LikelihoodProblem, Minimum]:
     """A search with coefficients fixed."""
-    problem, point, state = start(pendulum("viscous", "dry"), swing(0, 400, 0.1))
+    problem, point, state = start(arms.pendulum("viscous", "dry"), swing(0, 400, 0.1))
     fixed = problem.fixing("k")
     return fixed, search(
         fixed,
@@ -76,7 +74,7 @@ def viscous() -> tuple[LikelihoodProblem, Minimum]:
 def test_friction_that_grows_little_by_little() -> None:
     # Steps of linear equations go twice as far as they should: it took 44.
     estimator = jc.MaximumLikelihood(torque_sampling="sampled", every=1)
-    result = estimator.fit(pendulum("viscous", "dry", "static"), swing(5, 800, 0.1))
+    result = estimator.fit(arms.pendulum("viscous", "dry", "static"), swing(5, 800, 0.1))
     assert result.converged
     assert result.steps <= 25
 
@@ -84,7 +82,7 @@ def test_friction_that_grows_little_by_little() -> None:
 @pytest.mark.parametrize("damping", [1e-6, 1e4])
 def test_damping_does_not_make_positions_known(damping: float) -> None:
     # Single counts say more of positions than equations do: none is an interval.
-    problem, _, state = start(pendulum("viscous", "dry"), swing(0, 400, 0.5))
+    problem, _, state = start(arms.pendulum("viscous", "dry"), swing(0, 400, 0.5))
     state, _ = with_signs(problem, state, 3)
     objective, _ = objective_of(problem, state, 0)
     linear = Linear.of(objective, state.point)
@@ -139,7 +137,7 @@ def test_steps_of_bodies_are_as_long_as_the_sum_of_squares_lets_them(
     viscous: tuple[LikelihoodProblem, Minimum], bend: float
 ) -> None:
     problem, minimum = viscous
-    free, _, _ = start(pendulum("viscous", "dry"), swing(0, 400, 0.1))
+    free, _, _ = start(arms.pendulum("viscous", "dry"), swing(0, 400, 0.1))
     profile = Profile.of(minimum, free.scale)
     change = 0.8 * (profile.target - profile.k)
 

@@ -28,6 +28,7 @@ from jaxcslc.likelihood._linear import Linear
 from jaxcslc.likelihood._objective import Objective
 from jaxcslc.likelihood._point import Point, Step
 from jaxcslc.likelihood._signs import LATEST_TURN, Signs
+from tests import arms
 
 
 SAMPLES = 12
@@ -36,8 +37,7 @@ SAMPLES = 12
 @pytest.fixture(scope="module")
 def arm() -> jc.CSLC:
     """Two joints that swing in a vertical plane, with three laws of friction."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot.with_friction("viscous", "dry", "static"), lengths="numeric")
+    return arms.planar_arm("viscous", "dry", "static")
 
 
 @pytest.fixture(scope="module")

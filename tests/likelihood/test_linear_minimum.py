@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-import jaxcslc as jc
 from jaxcslc.likelihood import MotionEquations, TorqueRecord
 from jaxcslc.likelihood._blocks import MotionBlock, PriorBlock, ReadingBlock, ReversalBlock
 from jaxcslc.likelihood._levenberg import LinearMinimum
@@ -17,6 +16,7 @@ from jaxcslc.likelihood._point import Point, Step
 from jaxcslc.likelihood._readings import Intervals
 from jaxcslc.likelihood._signs import Signs
 from jaxcslc.likelihood._sticking import Sticking
+from tests import arms
 
 
 SAMPLES = 60
@@ -27,8 +27,7 @@ NOISE = 1e-2
 @pytest.fixture(scope="module")
 def linear() -> Linear:
     """A pendulum's counts, with some equations that bound its friction."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    network = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
+    network = arms.pendulum("viscous", "dry")
     rng = np.random.default_rng(0)
     time = 0.01 * np.arange(SAMPLES)
     q = np.sin(3 * time + 0.2)[:, None]

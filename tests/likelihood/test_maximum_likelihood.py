@@ -6,16 +6,12 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.least_squares import Errors
+from tests import arms
 
 
 STEP, SUBSTEPS = 0.005, 50
 # B = I + m l², G = m g l, viscous, dry friction, static friction beyond dry.
 INERTIA, WEIGHT, VISCOUS, DRY, STATIC, SLOPE = 0.4, 3.0, 0.3, 0.8, 0.3, 8.0
-
-
-def pendulum(*friction: str) -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot.with_friction(*friction), lengths="numeric")
 
 
 def swing(samples: int, static: float = STATIC) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -44,7 +40,7 @@ TRUE = {"kB1": INERTIA, "kv1": VISCOUS, "kd1": DRY, "ks1": STATIC}
 
 
 def test_exact_positions_give_exact_coefficients() -> None:
-    network = pendulum("viscous")
+    network = arms.pendulum("viscous")
     t = 0.01 * np.arange(400)[:, None]
     q, qd, qdd = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
     k = np.array([0.5, 0.3, -0.1, 0.2])
@@ -77,7 +73,7 @@ def test_errors_of_encoders_are_those_it_states(
     clean: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
     time, position, torque = clean
-    network = pendulum("viscous", "dry", "static")
+    network = arms.pendulum("viscous", "dry", "static")
     all_deviations = []
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -97,10 +93,10 @@ def test_it_is_nearer_than_regression(clean: tuple[np.ndarray, np.ndarray, np.nd
     time, position, torque = clean
     step = 2e-4
     recording = jc.Recording(time, step * np.round(position / step), torque)
-    network = pendulum("viscous", "dry")
+    network = arms.pendulum("viscous", "dry")
     settings = jc.Settings().with_options(torque_alignment="mean")
     regression = settings.fit(network, settings.patterns(recording))
-    likely = jc.MaximumLikelihood().fit(pendulum("viscous", "dry", "static"), recording)
+    likely = jc.MaximumLikelihood().fit(arms.pendulum("viscous", "dry", "static"), recording)
 
     def error(fit: jc.Identification) -> float:
         value = dict(zip(fit.names, np.asarray(fit.k), strict=True))
@@ -117,7 +113,7 @@ def test_noise_levels_are_estimated(clean: tuple[np.ndarray, np.ndarray, np.ndar
         position + 1e-4 * rng.normal(size=position.shape),
         torque + 0.2 * rng.normal(size=torque.shape),
     )
-    result = jc.MaximumLikelihood(resolution=(0.0,)).fit(pendulum("viscous", "dry"), noisy)
+    result = jc.MaximumLikelihood(resolution=(0.0,)).fit(arms.pendulum("viscous", "dry"), noisy)
     # The means of two held torques that follow each other share one: slow noise of their equations
     # is that of single torques, and positions take up the quick noise.
     assert_allclose(result.torque_noise, 0.2, rtol=0.25)
@@ -128,7 +124,7 @@ def test_rounding_far_below_the_noise_is_no_encoder() -> None:
     time, position, torque = swing(1200, static=0.0)
     rng = np.random.default_rng(0)
     noisy = 1e-7 * np.round((position + 1e-4 * rng.normal(size=position.shape)) / 1e-7)
-    network = pendulum("viscous", "dry")
+    network = arms.pendulum("viscous", "dry")
     result = jc.MaximumLikelihood().fit(network, jc.Recording(time, noisy, torque))
     assert_allclose(result.position_noise, 1e-4, rtol=0.15)
     assert_allclose(result.edge, 0.0)
@@ -147,7 +143,7 @@ class TestSeveralRecordings:
             )
             for rows, (noise, level) in zip((slice(0, 800), slice(800, None)), noises, strict=True)
         ]
-        result = jc.MaximumLikelihood(resolution=(0.0,)).fit(pendulum("viscous", "dry"), parts)
+        result = jc.MaximumLikelihood(resolution=(0.0,)).fit(arms.pendulum("viscous", "dry"), parts)
         assert_allclose(result.torque_noise[:, 0], [0.05, 0.4], rtol=0.3)
         assert_allclose(result.position_noise[:, 0], [1e-4, 3e-4], rtol=0.2)
         assert result.position.shape == (1600, 1)
@@ -165,7 +161,7 @@ class TestSeveralRecordings:
             jc.Recording(part.time, part.position + shift, part.torque)
             for part, shift in zip(parts, (-1e-3, 1e-3), strict=True)
         ]
-        result = jc.MaximumLikelihood().fit(pendulum("viscous", "dry", "static"), shifted)
+        result = jc.MaximumLikelihood().fit(arms.pendulum("viscous", "dry", "static"), shifted)
         assert_allclose(result.offset[:, 0], [-1e-3, 1e-3], atol=4 * result.offset_error.max())
         # The mean of both is gravity's to find; their difference is not that of gravity.
         assert np.ptp(result.offset) > 1e-3
@@ -177,7 +173,7 @@ class TestSeveralRecordings:
         rng = np.random.default_rng(0)
         position = position + 1e-4 * rng.normal(size=position.shape)
         torque = torque + 0.1 * rng.normal(size=torque.shape)
-        network = pendulum("viscous", "dry")
+        network = arms.pendulum("viscous", "dry")
         parts = [
             jc.Recording(time[rows], position[rows], torque[rows])
             for rows in (slice(0, 700), slice(700, None))
@@ -191,7 +187,7 @@ class TestSeveralRecordings:
 
 def test_errors_allow_for_noise_that_is_not_white() -> None:
     """Slow errors of torque, as a model that lacks something leaves them."""
-    network = pendulum("viscous", "dry")
+    network = arms.pendulum("viscous", "dry")
     time, position, torque = swing(1200, static=0.0)
     spread: dict[Errors, list[float]] = {"independent": [], "correlated": []}
     for seed in range(8):
@@ -224,7 +220,7 @@ def test_errors_of_white_noise_are_the_bound(
     for seed in range(4):
         shift = np.random.default_rng(seed).uniform(-0.5, 0.5)
         counts = step * np.round(position / step + shift)
-        network = pendulum("viscous", "dry", "static")
+        network = arms.pendulum("viscous", "dry", "static")
         result = jc.MaximumLikelihood().fit(network, jc.Recording(time, counts, torque))
         bound = np.sqrt(np.diag(np.asarray(result.fit.independent_covariance)))
         ratios += (np.asarray(result.fit.standard_error) / bound).tolist()
@@ -236,8 +232,7 @@ def test_errors_of_white_noise_are_the_bound(
 
 
 def test_a_joint_that_never_moves_is_undetermined() -> None:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)], gravity=(0, -9.81, 0))
-    network = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
+    network = arms.planar_arm("viscous", "dry")
     t = 0.01 * np.arange(300)[:, None]
     q = np.concatenate([np.sin(3 * t), np.full_like(t, 0.3)], axis=1)
     k = np.linspace(0.5, 1.0, network.size)
@@ -255,7 +250,9 @@ def test_a_coarse_encoder() -> None:
     time, position, torque = swing(1200, static=0.0)
     step = 2 * np.pi / 500
     recording = jc.Recording(time, step * np.round(position / step), torque)
-    result = jc.MaximumLikelihood(errors="independent").fit(pendulum("viscous", "dry"), recording)
+    result = jc.MaximumLikelihood(errors="independent").fit(
+        arms.pendulum("viscous", "dry"), recording
+    )
     true = np.array([INERTIA, WEIGHT / 9.81, 0.0, VISCOUS, DRY])
     assert np.all(np.abs(np.asarray(result.k) - true) < 4.0 * np.asarray(result.fit.standard_error))
     assert_allclose(result.k[0], INERTIA, rtol=0.1)
@@ -267,7 +264,7 @@ def test_a_joint_that_is_long_at_its_limit() -> None:
     turn = 500 + int(np.flatnonzero(np.diff(np.sign(np.diff(position[500:, 0]))))[0]) + 1
     stopped = np.where(np.arange(1200)[:, None] > turn, position[turn], position)
     pushed = np.where(np.arange(1200)[:, None] > turn, torque + 30.0, torque)
-    network, estimator = pendulum("viscous", "dry"), jc.MaximumLikelihood()
+    network, estimator = arms.pendulum("viscous", "dry"), jc.MaximumLikelihood()
     result = estimator.fit(network, jc.Recording(time, stopped, pushed))
     alone = estimator.fit(network, jc.Recording(time[:turn], position[:turn], torque[:turn]))
     assert_allclose(result.k, alone.k, atol=0.05)
@@ -285,7 +282,7 @@ def test_long_rests() -> None:
     )
     counts = step * np.round(halted / step)
     recording = jc.Recording(STEP * np.arange(len(counts)), counts, demand)
-    network = pendulum("viscous", "dry", "static")
+    network = arms.pendulum("viscous", "dry", "static")
     result = jc.MaximumLikelihood(errors="independent").fit(network, recording)
     assert result.converged
     for deviation in deviations(result).values():
@@ -315,7 +312,7 @@ def test_twelve_joints() -> None:
 
 def test_ten_samples(clean: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
     time, position, torque = clean
-    network = pendulum("viscous")
+    network = arms.pendulum("viscous")
     short = jc.Recording(time[100:110], position[100:110], torque[100:110])
     settings = jc.Settings().with_options(smoothing=jc.recordings.CentralDifferences(), trim=0)
     result = jc.MaximumLikelihood(settings=settings).fit(network, short)
@@ -327,7 +324,7 @@ def test_a_fit_near_is_a_start(clean: tuple[np.ndarray, np.ndarray, np.ndarray])
     time, position, torque = clean
     step = 2e-4
     counts = step * np.round(position / step)
-    network, estimator = pendulum("viscous", "dry", "static"), jc.MaximumLikelihood()
+    network, estimator = arms.pendulum("viscous", "dry", "static"), jc.MaximumLikelihood()
     whole = estimator.fit(network, jc.Recording(time, counts, torque))
     first = jc.Recording(time[:900], counts[:900], torque[:900])
     alone = estimator.fit(network, first)
@@ -347,14 +344,14 @@ def test_static_friction_without_dry_friction(
     """Nothing is then known of its size beforehand: it takes up what it can of dry friction."""
     time, position, torque = clean
     recording = jc.Recording(time, position, torque)
-    result = jc.MaximumLikelihood().fit(pendulum("viscous", "static"), recording)
+    result = jc.MaximumLikelihood().fit(arms.pendulum("viscous", "static"), recording)
     static = dict(zip(result.fit.names, np.asarray(result.k), strict=True))["ks1"]
     assert 0.5 * DRY < static < 2.0 * (DRY + STATIC)
 
 
 class TestBadInput:
     def test_a_payload(self, clean: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
-        network = pendulum("viscous").with_payload()
+        network = arms.pendulum("viscous").with_payload()
         with pytest.raises(ValueError, match="has a payload; expected a network without one"):
             jc.MaximumLikelihood().fit(network, jc.Recording(*clean))
 
@@ -362,16 +359,16 @@ class TestBadInput:
         time, position, torque = clean
         recording = jc.Recording(time, np.tile(position, 2), np.tile(torque, 2))
         with pytest.raises(ValueError, match="recording has 2 joints; expected 1"):
-            jc.MaximumLikelihood().fit(pendulum(), recording)
+            jc.MaximumLikelihood().fit(arms.pendulum(), recording)
 
     def test_no_recording(self) -> None:
         with pytest.raises(ValueError, match="got no recording; expected one or more"):
-            jc.MaximumLikelihood().fit(pendulum(), [])
+            jc.MaximumLikelihood().fit(arms.pendulum(), [])
 
     def test_too_few_samples(self, clean: tuple[np.ndarray, np.ndarray, np.ndarray]) -> None:
         time, position, torque = (x[:6] for x in clean)
         with pytest.raises(ValueError, match="has 6 samples; expected at least 10"):
-            jc.MaximumLikelihood().fit(pendulum(), jc.Recording(time, position, torque))
+            jc.MaximumLikelihood().fit(arms.pendulum(), jc.Recording(time, position, torque))
 
     def test_errors(self) -> None:
         with pytest.raises((ValueError, TypeError), match="none"):

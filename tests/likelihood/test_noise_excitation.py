@@ -5,6 +5,7 @@ import pytest
 from jaxtyping import Float
 
 import jaxcslc as jc
+from tests import arms
 
 
 STEP, SAMPLES, COUNT, NOISE = 0.01, 1000, 5e-5, 0.05  # s, -, rad, N m
@@ -15,8 +16,7 @@ Motion = tuple[Float[np.ndarray, "samples 1"], ...]
 
 @pytest.fixture(scope="module")
 def pendulum() -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot.with_friction("viscous"), lengths="numeric")
+    return arms.pendulum("viscous")
 
 
 def sines(*rates: float) -> Motion:

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
+from tests import arms
 
 
 K = np.array([0.5, 0.3, -0.1, 0.2])
@@ -13,8 +14,7 @@ K = np.array([0.5, 0.3, -0.1, 0.2])
 @pytest.mark.parametrize("torque_noise", [0.5, 2.0])
 def test_torque_noise_hides_that_of_positions(torque_noise: float) -> None:
     """Noise of accelerations is there, and would make the inertia too small were it left out."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    network = jc.derive(robot.with_friction("viscous"), lengths="numeric")
+    network = arms.pendulum("viscous")
     t = 0.01 * np.arange(600)[:, None]
     q = np.sin(2 * t) + 0.3 * np.sin(5 * t)
     qd, qdd = 2 * np.cos(2 * t) + 1.5 * np.cos(5 * t), -4 * np.sin(2 * t) - 7.5 * np.sin(5 * t)

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.bodies import Known, Prior
+from tests import arms
 
 
 POOR, RICH = (0.3, 300), (1.5, 1000)  # amplitude [rad] and samples
@@ -18,10 +19,7 @@ COUNT = 5e-5  # of the encoders [rad]
 @pytest.fixture(scope="module")
 def network() -> jc.CSLC:
     """Two joints with full tensors and motors."""
-    robot = jc.Manipulator.from_modified_dh(
-        [(0, 0, 0, 0), ("-pi/2", 0.1, 0, 0)], gravity=(0, -9.81, 0), name="elbow"
-    )
-    return jc.derive(robot.with_friction("viscous"), lengths="numeric")
+    return arms.elbow("viscous")
 
 
 def motion(

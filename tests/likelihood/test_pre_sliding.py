@@ -9,16 +9,12 @@ import jaxcslc as jc
 from jaxcslc.friction import fit_pre_sliding
 from jaxcslc.likelihood import MotionEquations, PreSlidingEquations
 from jaxcslc.likelihood._pre_sliding_equations import mean_states
+from tests import arms
 
 
 INTERVAL, SAMPLES, COUNT, NOISE = 0.005, 1600, 1e-4, 0.02
 TRUE = {"kB1": 0.4, "kB2": 3.0 / 9.81, "kB3": 0.0, "kv1": 0.3, "kd1": 0.8}
 LENGTHS = (0.03, 0.002)
-
-
-def pendulum(*friction: str) -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot.with_friction(*friction), lengths="numeric")
 
 
 def swing(length: float, seed: int) -> jc.Recording:
@@ -111,7 +107,7 @@ class TestStates:
         assert_allclose(derivatives.by_coefficient.dense, columns, atol=1e-12)
 
     def test_recordings_begin_anew(self) -> None:
-        network = pendulum("dry")
+        network = arms.pendulum("dry")
         time = 0.01 * np.arange(60)
         q = 0.2 * np.sin(5.0 * time)[:, None]
         twice = np.concatenate([time, 1.0 + time])
@@ -128,7 +124,7 @@ class TestFits:
     ) -> None:
         """With lengths of the regression, as with the true ones; intervals hold the truth."""
         length, motion = recording
-        network = pendulum("viscous", "dry")
+        network = arms.pendulum("viscous", "dry")
         true = np.array([TRUE[name] for name in network.names])
         settings = jc.Settings(jc.Preparation(jc.Butterworth(20.0), threshold_fraction=0.0))
         regression = fit_pre_sliding(network, settings.patterns(motion))
@@ -154,7 +150,7 @@ class TestFits:
 
     def test_a_step_of_friction_has_no_length(self) -> None:
         """Nothing changes where no joint has one."""
-        network, motion = pendulum("viscous", "dry"), swing(0.002, 6)
+        network, motion = arms.pendulum("viscous", "dry"), swing(0.002, 6)
         fits = [
             jc.MaximumLikelihood(lengths=lengths, every=1).fit(network, motion)
             for lengths in ((), (0.0,))
@@ -164,14 +160,14 @@ class TestFits:
 
 @pytest.mark.parametrize("lengths", [(0.1, 0.1), (-0.1,), (np.inf,)])
 def test_lengths_of_no_contact(lengths: tuple[float, ...]) -> None:
-    network, time = pendulum("dry"), 0.01 * np.arange(40)
+    network, time = arms.pendulum("dry"), 0.01 * np.arange(40)
     motion = jc.Recording(time, np.sin(time)[:, None], np.cos(time)[:, None])
     with pytest.raises(ValueError, match="lengths: expected 1 finite numbers from 0 up"):
         jc.MaximumLikelihood(lengths=lengths).fit(network, motion)
 
 
 def test_joints_without_dry_friction() -> None:
-    network, time = pendulum("viscous"), 0.01 * np.arange(40)
+    network, time = arms.pendulum("viscous"), 0.01 * np.arange(40)
     motion = jc.Recording(time, np.sin(time)[:, None], np.cos(time)[:, None])
     with pytest.raises(ValueError, match="has no friction of kind 'dry'"):
         jc.MaximumLikelihood(lengths=(0.1,)).fit(network, motion)

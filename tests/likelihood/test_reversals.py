@@ -5,6 +5,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxcslc as jc
 from jaxcslc.likelihood._signs import LATEST_TURN, Signs
+from tests import arms
 
 
 SAMPLES = 400
@@ -48,8 +49,7 @@ def test_reversals_at_bounds_are_said() -> None:
 
 
 def test_a_search_from_a_minimum_ends_there() -> None:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    network = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
+    network = arms.pendulum("viscous", "dry")
     time = np.arange(SAMPLES)[:, None] * 5e-3
     q, qd, qdd = np.sin(7 * time), 7 * np.cos(7 * time), -49 * np.sin(7 * time)
     torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.4]), q, qd, qdd))

@@ -6,6 +6,7 @@ import scipy
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
+from tests import arms
 
 
 STEP, SAMPLES, COUNT = 2e-3, 1200, 2e-5
@@ -37,8 +38,7 @@ def compliant_joint(seed: int, frequency: float) -> jc.Recording:
 
 @pytest.fixture(scope="module")
 def disc() -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    return jc.derive(robot.with_friction("viscous"), lengths="numeric")
+    return arms.turntable("viscous")
 
 
 def test_vibration_needs_positions_further_apart(disc: jc.CSLC) -> None:

@@ -9,6 +9,7 @@ import jaxcslc as jc
 from jaxcslc.likelihood import search
 from jaxcslc.likelihood._start import starting_point
 from jaxcslc.likelihood._sticking import bound, sticking_equations
+from tests import arms
 
 
 STEP, INERTIA, VISCOUS, DRY = 0.005, 0.4, 0.3, 0.8
@@ -64,8 +65,7 @@ def ramp(greatest: float) -> jc.Recording:
 
 @pytest.mark.parametrize("greatest", [1.05, 0.5])
 def test_torque_that_friction_bears_bounds_break_away(greatest: float) -> None:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    network = jc.derive(robot.with_friction("viscous", "dry", "static"), lengths="numeric")
+    network = arms.turntable("viscous", "dry", "static")
     result = jc.MaximumLikelihood().fit(network, ramp(greatest))
     value = dict(zip(result.fit.names, np.asarray(result.k), strict=True))
     assert value["kd1"] + value["ks1"] > greatest - 0.01
@@ -74,8 +74,7 @@ def test_torque_that_friction_bears_bounds_break_away(greatest: float) -> None:
 
 def test_friction_at_rest_is_expected_above_dry_friction() -> None:
     """Known beforehand: about as far above dry friction as that is large, hardly below it."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)])
-    network = jc.derive(robot.with_friction("dry", "static"), lengths="numeric")
+    network = arms.turntable("dry", "static")
     time = 0.01 * np.arange(200)
     recording = jc.Recording(time, np.sin(2 * time)[:, None], np.cos(2 * time)[:, None])
     problem, (point, *_) = starting_point(network, [recording], jc.Settings(), "held", None, None)
@@ -92,8 +91,7 @@ def test_friction_at_rest_is_expected_above_dry_friction() -> None:
 
 @pytest.mark.parametrize("fixed", [False, True])
 def test_bounds_say_nothing_of_coefficients_that_are_fixed(fixed: bool) -> None:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    network = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
+    network = arms.turntable("viscous", "dry")
     problem, (point, torque_noise, position_noise) = starting_point(
         network, [ramp(0.75)], jc.Settings(), "held", None, None
     )

@@ -5,20 +5,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
+from tests import arms
 
 
 STEP, SAMPLES = 0.01, 600
 COEFFICIENTS = np.array([0.5, 0.3, -0.1, 0.2])
 
 
-def pendulum(*friction: str) -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot.with_friction(*friction), lengths="numeric")
-
-
 @pytest.fixture(scope="module")
 def network() -> jc.CSLC:
-    return pendulum("viscous")
+    return arms.pendulum("viscous")
 
 
 def recording(
@@ -59,7 +55,7 @@ def test_a_wrong_time(network: jc.CSLC, rng: np.random.Generator) -> None:
 def test_a_missing_offset(network: jc.CSLC, rng: np.random.Generator) -> None:
     shifted = recording(network, rng, 0.0, 0.1)
     result = estimator().fit(network, shifted)
-    right = estimator().fit(pendulum("viscous", "offset"), shifted)
+    right = estimator().fit(arms.pendulum("viscous", "offset"), shifted)
     assert result.systematic is not None and right.systematic is not None
     change = np.abs(np.asarray(result.k - right.k[:4]))
     part = result.systematic.parts["torque offset"]

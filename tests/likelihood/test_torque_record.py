@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 import jaxcslc as jc
 from jaxcslc.bodies import Known, Prior
 from jaxcslc.likelihood import TorqueRecord, TorqueSampling
+from tests import arms
 
 
 INERTIA, VISCOUS, STEP = 0.4, 0.3, 0.005
@@ -100,8 +101,7 @@ def rotor() -> jc.Recording:
 
 @pytest.fixture(scope="module")
 def disc() -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    return jc.derive(robot.with_friction("viscous"), lengths="numeric")
+    return arms.turntable("viscous")
 
 
 @pytest.mark.parametrize("every", [2, 5])

@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.likelihood import MotionEquations, triangle_mean
+from tests import arms
 
 
 K = np.array([0.5, 0.3, -0.1, 0.2, 0.4])
@@ -13,8 +14,7 @@ K = np.array([0.5, 0.3, -0.1, 0.2, 0.4])
 
 @pytest.fixture(scope="module")
 def pendulum() -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
+    return arms.pendulum("viscous", "dry")
 
 
 def motion(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -17,6 +17,7 @@ import jaxcslc as jc
 from jaxcslc import CSLC, Manipulator
 from jaxcslc.network import AbstractLinearNetwork
 from jaxcslc.systems import Constant, System, Variable
+from tests import arms
 
 
 RTOL = 1e-10  # ranks are of columns of unit length; the smallest singular values are above 1e-5
@@ -112,10 +113,7 @@ def test_without_shared_coefficients_it_is_the_order(rng: np.random.Generator) -
 
 def test_both_directions_count(rng: np.random.Generator) -> None:
     """Friction of either direction: patterns of one direction alone determine half of it."""
-    arm = Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    network = jc.derive(
-        arm.with_friction("asymmetric_viscous", "asymmetric_dry"), lengths="numeric"
-    )
+    network = arms.pendulum("asymmetric_viscous", "asymmetric_dry")
     assert network.least_patterns == network.order == network.size == 7
     q, qd, qdd = rng.uniform(0.2, 3.0, (3, 40, 1))
     assert rank(np.asarray(network.regressor(q, qd, qdd))) == 5
@@ -170,6 +168,5 @@ def test_float32_of_networks_that_numpy_does_not_compute() -> None:
 
 def test_float32_of_robots() -> None:
     """Columns of robots are NumPy's."""
-    arm = Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
     with jax.enable_x64(False):
-        assert jc.derive(arm, lengths="numeric").least_patterns == 5
+        assert arms.pendulum().least_patterns == 5

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
-from jaxcslc.payload._change_detection import (
+from jaxcslc.payload._equations import (
     PRIOR_DEVIATION,
     RecursiveEquations,
     absence_evidence,

@@ -16,6 +16,7 @@ from jaxcslc.bodies import nearest_body, pseudo_inertia
 from jaxcslc.control import ComputedTorque, LowPassChain, OutputFeedback
 from jaxcslc.payload import PayloadCompensation, PayloadEstimate, PayloadEstimator, torque_noise
 from scripts.studies.payload.loops import LoopBatch
+from tests import arms
 
 
 BODY = jc.LinkParameters(1.0, np.array([0.02, -0.03, 0.10]), 0.002 * np.eye(3))
@@ -256,7 +257,7 @@ def test_refusals(puma: jc.CSLC, arm_k: Array, estimator: PayloadEstimator) -> N
         PayloadEstimator(puma, arm_k, NOISE[:2])
     with pytest.raises(ValueError, match="expected more than 0"):
         PayloadEstimator(puma, arm_k, 0 * NOISE)
-    small = jc.derive(jc.Manipulator.from_modified_dh([(0, 0, 0, 0)]), lengths="numeric")
+    small = arms.turntable()
     with pytest.raises(ValueError, match="expected the same network"):
         PayloadCompensation(ComputedTorque(small, np.ones(small.size), 5.0), estimator)
     assert OutputFeedback(ComputedTorque(puma, arm_k, 5.0)).filter.lags == 2

@@ -14,6 +14,7 @@ import sim
 from jaxcslc.bodies import body_of, link_of, nearest_body, pseudo_inertia
 from jaxcslc.manipulator import fixed_together
 from jaxcslc.network import PAYLOAD
+from tests import arms
 from tests.patterns import ORDINARY
 
 
@@ -231,8 +232,7 @@ class TestPhysical:
 
     def test_what_an_arm_cannot_feel(self, rng: np.random.Generator) -> None:
         """One joint with an upright axis: nothing but the moment of inertia about it."""
-        arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-        network = jc.derive(arm, lengths="numeric").with_payload()
+        network = arms.turntable().with_payload()
         k = np.full(network.size, 0.1)
         k[network.layout.payload] = body_of(BODY)
         arm_k = k[network.layout.unloaded]
@@ -254,8 +254,7 @@ class TestPhysical:
 
     def test_the_report_says_what_is_determined_instead(self) -> None:
         """A pendulum feels first moments and a moment of inertia, and no mass."""
-        arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-        network = jc.derive(arm, lengths="numeric").with_payload()
+        network = arms.pendulum().with_payload()
         k = np.full(network.size, 0.1)
         k[network.layout.payload] = body_of(BODY)
         t = np.arange(500)[:, None] * 0.01
@@ -296,8 +295,7 @@ class TestPhysical:
 
     def test_an_arm_of_unknown_link_and_payload(self, rng: np.random.Generator) -> None:
         """A recording of the empty arm that does not determine the arm leaves the payload open."""
-        arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-        network = jc.derive(arm, lengths="numeric")
+        network = arms.pendulum()
         loaded = network.with_payload()
         k = np.concatenate([np.full(5, 0.1), body_of(BODY)])
         still = _drawn(network, k[:5], rng, 50, 0.0)
@@ -358,7 +356,7 @@ def test_failures(
         jc.fit_payload(puma, patterns, **both)
     with pytest.raises(ValueError, match="expected 53 coefficients, got 12"):
         jc.fit_payload(puma, patterns, previous=np.zeros(12))
-    arm = jc.derive(jc.Manipulator.from_modified_dh([(0, 0, 0, 0)]), lengths="numeric")
+    arm = arms.turntable()
     with pytest.raises(ValueError, match="patterns have 6 joints"):
         jc.fit_payload(arm, patterns, patterns)
     wrong = dataclasses.replace(patterns, torque=np.full((FEW, 6), np.nan))

@@ -10,6 +10,7 @@ from jaxcslc.least_squares import settings_document, settings_from
 from jaxcslc.recordings import AbstractSmoothing, CentralDifferences, Sampling, register_smoothing
 from jaxcslc.selection import _selection as selection_module
 from jaxcslc.selection._selection import settled_alignment
+from tests import arms
 
 
 INTERVAL = 0.002
@@ -20,8 +21,7 @@ RATES, SIZES = np.array([3.1, 7.3, 12.7]), np.array([0.9, 0.5, 0.12])
 
 @pytest.fixture(scope="module")
 def pendulum() -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot, lengths="numeric")
+    return arms.pendulum()
 
 
 def swing(
@@ -332,7 +332,7 @@ def test_settings_name_what_differs_in_another_recording(
 
 
 def test_slow_pairs_are_kept_where_a_term_explains_them(rng: np.random.Generator):
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    robot = jc.examples.pendulum()
     network = jc.derive(robot.with_friction("viscous", "dry", "static"), lengths="numeric")
     plain = jc.derive(robot, lengths="numeric")
     recording = swing(plain, rng)

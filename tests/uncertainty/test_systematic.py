@@ -18,6 +18,7 @@ from jaxcslc.uncertainty import (
     systematic_error,
     uncertainty_interval,
 )
+from tests import arms
 
 
 # Time, position, velocity and acceleration.
@@ -36,8 +37,7 @@ GENTLE = jc.Settings(
 @pytest.fixture(scope="module")
 def arm() -> jc.CSLC:
     """One joint with an upright axis: inertia, viscous and dry friction."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    return jc.derive(robot, lengths="numeric")
+    return arms.turntable()
 
 
 @pytest.fixture(scope="module")
@@ -227,8 +227,7 @@ def test_noise_alone_hardly_widens(arm: jc.CSLC, swing: Motion) -> None:
 
 
 def test_terms_that_the_network_has(swing: Motion) -> None:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    network = jc.derive(robot.with_friction("viscous", "static", "offset"), lengths="numeric")
+    network = arms.turntable("viscous", "static", "offset")
     t, q, qd, qdd = swing
     torque = np.asarray(network.torque(np.array([0.5, 2.0, 1.0, 0.2]), q, qd, qdd))
     recording = jc.Recording(t, q, torque)

@@ -11,7 +11,9 @@ import jaxcslc as jc
 import sim
 from jaxcslc.excitation import (
     Design,
+    Effort,
     FourierSeries,
+    Goal,
     Knowledge,
     Limits,
     Noise,
@@ -60,7 +62,7 @@ def network(directional: bool = False) -> jc.CSLC:
 @cache
 def noise(estimator: str = "likelihood") -> Noise:
     """Of the machine's encoders, and of torques."""
-    return Noise(TORQUE_NOISE, sim.puma560().encoder_resolution, 1 / INTERVAL, None, estimator)
+    return Noise(TORQUE_NOISE, sim.puma560().encoder_resolution, 1 / INTERVAL, estimator=estimator)
 
 
 def limits() -> Limits:
@@ -108,13 +110,11 @@ def puma_design(name: str, seed: int, quick: bool = False) -> Design:
         network(directional),
         limits(),
         chain,
-        duration=DURATION,
-        criterion=criterion,
+        goal=Goal(criterion),
         knowledge=knowledge(directional),
+        duration=DURATION,
         seed=seed,
-        starts=1 if quick else 3,
-        rounds=2 if quick else 5,
-        steps=10 if quick else 60,
+        effort=Effort(1, 2, 10) if quick else Effort(),
     )
 
 

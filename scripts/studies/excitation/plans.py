@@ -19,6 +19,8 @@ import jaxcslc as jc
 from jaxcslc._text_table import text_table
 from jaxcslc.excitation import (
     Design,
+    Effort,
+    Goal,
     Knowledge,
     Planner,
     design_motion,
@@ -43,12 +45,16 @@ def rigid_body_known(design: Design) -> Knowledge:
     rigid = np.arange(size)[design.network.layout.inertial]
     information = np.zeros((size, size))
     part = known.covariance[np.ix_(rigid, rigid)]
-    unit = np.sqrt(np.diag(part))
-    inverse = np.linalg.inv(part / np.outer(unit, unit)) / np.outer(unit, unit)
-    information[np.ix_(rigid, rigid)] = inverse
+    information[np.ix_(rigid, rigid)] = inverse_of(part)
     error = np.full(size, np.inf)
     error[rigid] = known.standard_error[rigid]
     return Knowledge(known.k, information, error)
+
+
+def inverse_of(covariance: np.ndarray) -> np.ndarray:
+    """The inverse, in units of standard errors, where it loses the fewest digits."""
+    unit = np.sqrt(np.diag(covariance))
+    return np.linalg.inv(covariance / np.outer(unit, unit)) / np.outer(unit, unit)
 
 
 def seconds_of(planner: Planner, parameters: Any, wanted: Sequence[str]) -> float:
@@ -68,10 +74,9 @@ def durations(wanted: Sequence[str], net: Any, known: Knowledge, steps: int) -> 
     }
     seconds: dict[str, float] = {}
     for name, (names, criterion) in ways.items():
-        planner = Planner.of(
-            net, limits(), noise(), family, wanted=names, criterion=criterion, knowledge=known
-        )
-        design = planner.design(0, 1, 4, steps, lambda _: None)
+        goal = Goal(criterion, names)
+        planner = Planner.of(net, limits(), noise(), family, goal=goal, knowledge=known)
+        design = planner.design(0, Effort(1, 4, steps))
         seconds[name] = seconds_of(planner, design.parameters, wanted)
     fourier = family_named("fourier", PIECE)
     planner = Planner.of(net, limits(), noise(), fourier, knowledge=known)
@@ -100,13 +105,11 @@ def seconds_to_goal(seed: int, steps: int, say: Callable[[str], None]) -> dict[s
             network(),
             limits(),
             noise(),
-            duration=PIECE,
-            criterion=criterion,
+            goal=Goal(criterion),
             knowledge=known,
+            duration=PIECE,
             seed=100 * seed + number,
-            starts=1,
-            rounds=4,
-            steps=steps,
+            effort=Effort(1, 4, steps),
         )
 
     known, worst = knowledge(), []
@@ -118,7 +121,9 @@ def seconds_to_goal(seed: int, steps: int, say: Callable[[str], None]) -> dict[s
     }
     design = first
     for number in range(1, MOST + 1):
-        known = known.after(design.prediction.covariance)
+        covariance = design.prediction.covariance
+        error = np.sqrt(np.diag(covariance))
+        known = Knowledge(known.k, inverse_of(covariance), error, known.is_model)
         worst.append(float(np.max(design.prediction.relative_error)))
         say(f"{PIECE * number:g} s: worst {100 * worst[-1]:.3g} %")
         if worst[-1] <= GOAL:
@@ -134,11 +139,9 @@ def study(options: argparse.Namespace) -> int:
         network(),
         limits(),
         noise(),
-        duration=6.6,
         knowledge=knowledge(),
-        starts=1,
-        rounds=3,
-        steps=options.steps,
+        duration=6.6,
+        effort=Effort(1, 3, options.steps),
     )
     rows: dict[str, dict[str, float]] = {}
     known = rigid_body_known(first)

@@ -15,6 +15,7 @@ import sim
 from jaxcslc.excitation import (
     BSplines,
     Design,
+    Effort,
     Knowledge,
     Limits,
     Noise,
@@ -143,7 +144,7 @@ def random_arms(structure: int, count: int = ARMS_PER_STRUCTURE) -> dict[str, An
         rng = np.random.default_rng([structure, index])
         wish = _planner_within(planner, _random_limits(planner, rng))
         try:
-            design = wish.design(index, 1, 3, 12, lambda _: None)
+            design = wish.design(index, Effort(1, 3, 12))
         except ValueError as error:
             infeasible.append(str(error))
             continue
@@ -230,14 +231,13 @@ def panda(seed: int, urdf: str, steps: int) -> dict[str, Any]:
         stated = {name: getattr(of_maker, name).tolist() for name in ("acceleration", "jerk")}
         _pandas["panda"] = Planner.of(
             jc.derive(robot, lengths="numeric"),
-            Limits.of(robot, stated),
+            Limits.of(robot, stated, Surroundings(floor=0.0)),
             Noise((0.3,) * 4 + (0.1,) * 3, 1e-5, rate=1000.0),
             BSplines(20.0, 57),
-            surroundings=Surroundings(floor=0.0),
         )
     planner = _pandas["panda"]
     begun = time.process_time()
-    design = planner.design(seed, 1, 5, steps, lambda _: None)
+    design = planner.design(seed, Effort(1, 5, steps))
     instants = np.linspace(0.0, 20.0, 2001)
     poses = np.asarray(design.family.derivative(design.parameters, instants))
     used = _most_used(design)

@@ -89,7 +89,7 @@ class KnownPayloadLoop(AbstractController):
         if body is not None:
             ten = network.coefficients_from(links, payload=body)[network.layout.payload]
         return cls(
-            OutputFeedback(controller.with_network(network, k)),
+            OutputFeedback(controller.with_coefficients(k, network)),
             ten,
             jnp.asarray(start),
             jnp.asarray(stop),

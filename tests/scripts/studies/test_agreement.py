@@ -10,12 +10,12 @@ import pytest
 import jaxcslc as jc
 from scripts.studies.agreement import study
 from scripts.studies.checks.recordings import Conditions
+from tests import arms
 
 
 @cache
 def pendulum(_: str) -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
+    return arms.pendulum("viscous", "dry")
 
 
 def swings(arm: str, conditions: Conditions, seed: int) -> jc.Recording:

@@ -43,7 +43,7 @@ def test_the_payload_is_known_while_it_is_there(puma: jc.CSLC, puma_k: jax.Array
     nothing = jc.LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))
     loaded = network.coefficients_from([nothing] * 6, payload=body)
     ten = loaded[network.layout.payload]
-    whole = controller.with_network(network, jnp.concatenate([puma_k, ten]))
+    whole = controller.with_coefficients(jnp.concatenate([puma_k, ten]), network)
     state, others = loop_of_task.begin(q), [OutputFeedback(one) for one in (controller, whole)]
     states = [loop.begin(q) for loop in others]
     for carries in (0, 1, 0):

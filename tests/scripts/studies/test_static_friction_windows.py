@@ -5,6 +5,7 @@ import pytest
 
 import jaxcslc as jc
 from scripts.studies.static_friction.windows import fit_windows, motion_windows
+from tests import arms
 
 
 def test_windows_end_where_a_joint_rests() -> None:
@@ -23,8 +24,7 @@ K = np.array([0.5, 0.3, 0.0, 0.2, 0.3, 0.2])
 
 def pendulum(rng: np.random.Generator, samples: int) -> tuple[jc.CSLC, jc.Recording, np.ndarray]:
     """Simulated with a step a hundred times finer; only positions are passed on."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    network = jc.derive(robot.with_friction("viscous", "dry", "static"), lengths="numeric")
+    network = arms.pendulum("viscous", "dry", "static")
     time = TIME[:samples]
     demand = 2.5 * np.sin(9.0 * time) + 0.5 * np.sin(23.0 * time)
     state, steps = np.array([0.3, 0.0]), 100
@@ -75,8 +75,7 @@ def test_what_the_motion_does_not_determine_has_no_finite_error(rng: np.random.G
 
 
 def test_other_friction_is_refused() -> None:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)]).with_friction("viscous", "dry")
-    network = jc.derive(robot, lengths="numeric")
+    network = arms.turntable("viscous", "dry")
     windows = motion_windows(np.ones((50, 1)), length=20, slowest=0.1, trim=2)
     recording = jc.Recording(np.arange(50) * 0.002, np.zeros((50, 1)), np.zeros((50, 1)))
     with pytest.raises(ValueError, match="expected viscous, dry and static friction"):

@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from scripts.studies.training.thesis_route import ThesisRoute, thesis_route
+from tests import arms
 
 
 K = np.array([0.5, 0.3, -0.1, 0.4, 0.6])
@@ -17,8 +18,7 @@ MEASURED = 0.8 * K
 
 @pytest.fixture(scope="module")
 def pendulum() -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot, lengths="numeric")
+    return arms.pendulum()
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import pytest
 import jaxcslc as jc
 import sim
 from scripts.studies.thresholds import refine_thresholds
+from tests import arms
 
 
 INTERVAL = 0.002
@@ -20,8 +21,7 @@ SETTINGS = jc.Settings(jc.Preparation(jc.AveragedSplines(17)))
 
 @pytest.fixture(scope="module")
 def pendulum() -> jc.CSLC:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot, lengths="numeric")
+    return arms.pendulum()
 
 
 def swing(network: jc.CSLC, rng: np.random.Generator, excess: float = EXCESS) -> jc.Recording:

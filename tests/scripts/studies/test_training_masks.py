@@ -10,11 +10,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 import jaxcslc as jc
 from jaxcslc.training import inverse_dynamics
 from scripts.studies.training import masks
+from tests import arms
 
 
 def test_cases_are_what_they_say() -> None:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    network = inverse_dynamics(jc.derive(robot.with_friction("viscous"), lengths="numeric"))
+    network = inverse_dynamics(arms.pendulum("viscous"))
     motion, fast = np.ones((2, 1)), np.array([[True], [False]])
     patterns = jc.Patterns(np.arange(2.0), motion, motion, motion, motion, fast[::-1], fast)
     every, none = np.ones((2, 1), bool), np.zeros((2, 1), bool)
@@ -37,8 +37,7 @@ def test_cases_are_what_they_say() -> None:
 
 
 def test_shuffled_masks_lose_as_many_pairs(rng: np.random.Generator) -> None:
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    network = inverse_dynamics(jc.derive(robot.with_friction("viscous"), lengths="numeric"))
+    network = inverse_dynamics(arms.pendulum("viscous"))
     motion, kept = rng.normal(size=(50, 1)), rng.random((50, 1)) < 0.4
     every = np.ones((50, 1), bool)
     patterns = jc.Patterns(np.arange(50.0), motion, motion, motion, motion, kept, every)
@@ -49,8 +48,7 @@ def test_shuffled_masks_lose_as_many_pairs(rng: np.random.Generator) -> None:
 
 def test_the_truth_has_no_errors(rng: np.random.Generator) -> None:
     """Without noise every set of masks finds the true coefficients, and no residual is left."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    cslc = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
+    cslc = arms.pendulum("viscous", "dry")
     k = np.array([0.5, 0.3, -0.1, 0.4, 0.6])
     q, qd, qdd = rng.uniform(-2.0, 2.0, (3, 60, 1))
     torque = np.asarray(cslc.torque(k, q, qd, qdd))

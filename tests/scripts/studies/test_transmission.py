@@ -49,7 +49,7 @@ def test_tables_and_resumption(
 
 
 def test_intervals_of_means_of_two_directions() -> None:
-    pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    pendulum = jc.examples.pendulum()
     plain = jc.derive(pendulum.with_friction("viscous"), lengths="numeric")
     both = jc.derive(pendulum.with_friction("asymmetric_viscous"), lengths="numeric")
     t = np.arange(200)[:, None] * 0.01

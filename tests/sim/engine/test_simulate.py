@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import sim
-from jaxcslc.control import SinusoidalTorque
 
 
 TRAJECTORIES = ["training", "comparison"]
@@ -61,7 +60,7 @@ def test_row_n_is_demanded_at_sample_n_and_acts_until_the_next(
     one_joint: Callable[..., sim.Machine],
 ):
     machine = one_joint(inertia=0.5)
-    controller = SinusoidalTorque(np.array([3.0]), np.array([0.1]), np.array([0.3]))
+    controller = sim.SinusoidalTorque(np.array([3.0]), np.array([0.1]), np.array([0.3]))
     recording, truth = sim.simulate(machine, sim.Trajectory("wave", np.zeros(1), controller, 50))
     np.testing.assert_allclose(
         recording.torque[:, 0], 3 * np.sin(20 * np.pi * recording.time + 0.3), rtol=1e-12

@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+import jaxcslc as jc
 import sim
 from jaxcslc.manipulator import LinkParameters, Manipulator, puma560
 
@@ -77,13 +78,13 @@ def test_bodies_stay_as_they_are():
 
 
 def test_a_link_without_any_mass_is_no_trouble():
-    robot = Manipulator.from_modified_dh([(0.0, 0.0, 0.0, 0.0)])
+    robot = jc.examples.turntable()
     link = LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)), 1.0)
     assert sim.possible_links(robot, [link]) == (link,)
 
 
 def test_what_cannot_be_lent_is_refused():
-    robot = Manipulator.from_modified_dh([(0.0, 0.0, 0.0, 0.0)])
+    robot = jc.examples.turntable()
     wrong = LinkParameters(1.0, np.zeros(3), np.diag([5.0, 1.0, 1.0]), 0.0)
     with pytest.raises(sim.MachineError, match=r"link 1 cannot be a rigid body: .* across"):
         sim.possible_links(robot, [wrong])

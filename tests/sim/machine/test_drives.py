@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import sim
-from jaxcslc.control import SinusoidalTorque
 
 
 @pytest.fixture
@@ -57,7 +56,7 @@ def test_a_delayed_torque_acts_late(one_joint: Callable[..., sim.Machine]):
     """Half of each interval has the demand before, on whatever steps: its impulse is exact."""
     for delay, step in ((1e-3, 5e-4), (7e-4, 5e-4), (3e-4, 2e-3)):
         machine = one_joint(inertia=0.5, torque_delay=delay, time_step=step)
-        controller = SinusoidalTorque(np.array([3.0]), np.array([0.1]), np.array([0.3]))
+        controller = sim.SinusoidalTorque(np.array([3.0]), np.array([0.1]), np.array([0.3]))
         recording, truth = sim.simulate(
             machine, sim.Trajectory("wave", np.zeros(1), controller, 50)
         )
@@ -70,6 +69,6 @@ def test_a_delayed_torque_acts_late(one_joint: Callable[..., sim.Machine]):
 
 def test_a_delay_of_an_interval_is_refused(one_joint: Callable[..., sim.Machine]):
     machine = one_joint(inertia=1.0, torque_delay=0.002)
-    controller = SinusoidalTorque(np.ones(1), np.ones(1), np.ones(1))
+    controller = sim.SinusoidalTorque(np.ones(1), np.ones(1), np.ones(1))
     with pytest.raises(sim.MachineError, match=r"torque_delay is 0\.002 s; expected less than"):
         sim.simulate(machine, sim.Trajectory("wave", np.zeros(1), controller, 5))

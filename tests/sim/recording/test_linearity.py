@@ -9,7 +9,6 @@ import pytest
 import scipy.special
 
 import sim
-from jaxcslc.control import SinusoidalTorque
 from jaxcslc.manipulator import puma560
 from sim.recording._linearity import MotorLinearity, _laden, _locked, motor_linearity
 
@@ -77,7 +76,7 @@ def test_brakes_hold():
     machine = _laden(_locked(sim.puma560(), 2), 4.5)
     start = np.array([0.0, 0.0, np.pi / 2, 0.0, 0.0, 0.0])
     zero = np.zeros(6)
-    controller = SinusoidalTorque(zero, np.ones(6), zero)  # nothing holds joint 2
+    controller = sim.SinusoidalTorque(zero, np.ones(6), zero)  # nothing holds joint 2
     _, truth = sim.simulate(machine, sim.Trajectory("drop", start, controller, 200))
     assert truth.position[-1, 1] - truth.position[0, 1] > 0.3
     others = [0, 2, 3, 4, 5]

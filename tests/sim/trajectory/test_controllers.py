@@ -11,7 +11,7 @@ import pytest
 
 import sim
 from jaxcslc import RobotError
-from jaxcslc.control import PID, Reference, SinusoidalTorque
+from jaxcslc.control import PID, Reference
 from jaxcslc.manipulator import Manipulator, puma560
 
 
@@ -59,7 +59,7 @@ def test_gravity_compensation_is_for_a_puma():
 
 
 def test_sinusoids_have_their_amplitude_period_and_phase():
-    controller = SinusoidalTorque(np.array([2.0]), np.array([0.8]), np.array([1.5 * np.pi]))
+    controller = sim.SinusoidalTorque(np.array([2.0]), np.array([0.8]), np.array([1.5 * np.pi]))
     q, torque = np.zeros(1), []
     state = controller.begin(q)
     for _ in range(5):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import sim
-from jaxcslc.control import SinusoidalTorque
 from jaxcslc.manipulator import Manipulator
 from sim.trajectory._kinematics import Hand
 from sim.trajectory._repulsion import HandRepulsion
@@ -26,7 +25,7 @@ def _near(repulsion: HandRepulsion, rng: np.random.Generator, rows: int = 60) ->
 def off_hand() -> HandRepulsion:
     """The training trajectory's."""
     controller = sim.training().controller
-    assert isinstance(controller, SinusoidalTorque)
+    assert isinstance(controller, sim.SinusoidalTorque)
     (repulsion,) = (part for part in controller.repulsion if isinstance(part, HandRepulsion))
     return repulsion
 
@@ -42,7 +41,7 @@ def test_repulsion_pushes_inwards_and_only_near_an_end():
 
 def test_repulsion_turns_a_driven_joint_back(one_joint: Callable[..., sim.Machine]):
     machine = one_joint(inertia=0.5, viscous=(5.0,), position_range=((-1.0, 1.0),))
-    controller = SinusoidalTorque(
+    controller = sim.SinusoidalTorque(
         np.array([5.0]),
         np.array([1e9]),
         np.array([np.pi / 2]),  # in effect 5 N m for ever
@@ -135,7 +134,7 @@ def test_an_arm_lowered_to_the_floor_stops_above_it(off_hand: HandRepulsion):
     """15 N m on joint 2 of the outstretched arm, and a floor that has been raised."""
     off_floor = dataclasses.replace(off_hand, floor=-0.4)
     standard = sim.training().controller
-    assert isinstance(standard, SinusoidalTorque)
+    assert isinstance(standard, sim.SinusoidalTorque)
     pushing = dataclasses.replace(
         standard,
         amplitude=np.array([0.0, 15.0, 0.0, 0.0, 0.0, 0.0]),

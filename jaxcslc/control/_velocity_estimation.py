@@ -1,12 +1,18 @@
-"""Causal low-pass differentiator: a cascade of first-order lags, exact between samples."""
+"""Velocities of arms without tachometers, from encoder readings.
 
-from typing import Literal, NamedTuple
+`LowPassChain` is a causal differentiating low pass, exact between samples. `OutputFeedback` filters
+the position error of a controller with it.
+"""
+
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
+
+from ._controller import AbstractController, Joints, Reference
 
 
 Signal = Float[Array | np.ndarray, "*shape"]
@@ -63,7 +69,7 @@ class LowPassChain(eqx.Module):
     lags: int = eqx.field(static=True)
 
     def __init__(self, corner: float | Float[Array | np.ndarray, "..."], lags: int = 3) -> None:
-        """A filter with its corner frequency [Hz] and number of lags.
+        """Make a filter with its corner frequency [Hz] and number of lags.
 
         **Raises**
 
@@ -87,7 +93,7 @@ class LowPassChain(eqx.Module):
         return self.lags / self.pole
 
     def begin(self, value: Signal) -> Float[Array, "lags ..."]:
-        """The state in equilibrium at the constant signal `value`, (lags, *shape)."""
+        """Return the state in equilibrium at the constant signal `value`, (lags, *shape)."""
         value = jnp.asarray(value)
         return jnp.broadcast_to(value, (self.lags, *value.shape))
 
@@ -100,7 +106,7 @@ class LowPassChain(eqx.Module):
         *,
         hold: Literal["linear", "constant"] = "linear",
     ) -> Float[Array, "lags ..."]:
-        """The state one interval later.
+        """Return the state one interval later.
 
         **Arguments**
 
@@ -109,9 +115,7 @@ class LowPassChain(eqx.Module):
         - `interval`: [s].
         - `hold`: `"linear"` between the two values, or `"constant"` at `before`.
 
-        **Returns**
-
-        (lags, *shape).
+        **Returns** (lags, *shape).
         """
         before, now = jnp.asarray(before), jnp.asarray(now)
         pole = jnp.broadcast_to(self.pole.astype(before.dtype), before.shape)
@@ -134,14 +138,76 @@ class LowPassChain(eqx.Module):
         )
 
     def read(self, state: Float[Array, "lags ..."]) -> FilteredSignal:
-        """The filtered signal and its derivatives."""
+        """Return the filtered signal and its derivatives."""
         last = state[-1]
-        earlier = state[-3] if self.lags > 2 else None
+        # The lag before the first of two is the signal itself, which a state does not hold.
+        earlier = state[-3] if self.lags > 2 else jnp.full_like(last, jnp.nan)
         pole = jnp.broadcast_to(self.pole.astype(last.dtype), last.shape)
-        rate = pole * (state[-2] - last)
-        if earlier is None:
-            # The lag before the first is the signal itself, which a state does not hold.
-            second = jnp.full_like(last, jnp.nan)
-        else:
-            second = pole**2 * (earlier - 2.0 * state[-2] + last)
-        return FilteredSignal(last, rate, second)
+        second = pole**2 * (earlier - 2.0 * state[-2] + last)
+        return FilteredSignal(last, pole * (state[-2] - last), second)
+
+
+class OutputFeedbackState(NamedTuple):
+    """The memory of an `OutputFeedback` controller.
+
+    **Attributes**
+
+    - `error`: position error at the previous sample, (*batch, n) [rad or m].
+    - `filter`: state of the filter on the error, (lags, *batch, n).
+    - `controller`: state of the wrapped controller.
+    """
+
+    error: Float[Array, "*batch joints"]
+    filter: Float[Array, "lags *batch joints"]
+    controller: Any
+
+
+class OutputFeedback(AbstractController):
+    """Velocity estimation for a controller of an arm that has encoders, but no tachometers.
+
+    The rate of the *error* is filtered, not that of the position: while the arm follows its path
+    the filter then causes no delay. The controller gets qd_d minus the filtered rate of e as its
+    velocity, and the reading as its position. Where a reading is lost (NaN) the error is kept
+    from the sample before; a `FaultMonitor` ends the motion if too many are lost in a row.
+
+    **Attributes**
+
+    - `controller`: the controller that needs positions and velocities.
+    - `filter`: of the error.
+
+    >>> import jax.numpy as jnp
+    >>> from jaxcslc.control import PID, LowPassChain, OutputFeedback, Reference
+    >>> pid = PID(1, position_gain=100.0, velocity_gain=10.0)
+    >>> feedback = OutputFeedback(pid, LowPassChain(50.0, lags=2))
+    >>> q, reference = jnp.zeros(1), Reference.at_rest(jnp.array([0.1]))
+    >>> torque, state = feedback.step(feedback.begin(q), reference, q, 0.002)
+    >>> bool(torque[0] > 10.0)
+    True
+    """
+
+    controller: AbstractController
+    filter: LowPassChain = LowPassChain(50.0, lags=2)
+
+    def begin(self, q: Joints) -> OutputFeedbackState:
+        """Return the state before the first sample, at rest where the path begins."""
+        zero = jnp.zeros_like(jnp.asarray(q))
+        return OutputFeedbackState(zero, self.filter.begin(zero), self.controller.begin(q))
+
+    def step(
+        self,
+        state: OutputFeedbackState,
+        reference: Reference,
+        q: Joints,
+        interval: float | Array,
+        qd: Joints | None = None,
+    ) -> tuple[Joints, OutputFeedbackState]:
+        """Compute the torque command, as `AbstractController.step`, without measured velocities."""
+        del qd
+        error = jnp.asarray(reference.q - q)
+        lost = jnp.isnan(error)
+        error = jnp.where(lost, state.error, error)
+        q = jnp.where(lost, reference.q - error, q)
+        filtered = self.filter.step(state.filter, state.error, error, interval)
+        estimate = reference.qd - self.filter.read(filtered).rate
+        torque, inner = self.controller.step(state.controller, reference, q, interval, estimate)
+        return torque, OutputFeedbackState(error, filtered, inner)

@@ -1,8 +1,14 @@
-"""Fault detection around a controller: lost samples, stuck encoders and reversed torques."""
+"""Wrappers that protect an arm: a barrier at the ends of joints' ranges, and fault detection.
 
+`JointLimitAvoidance` clips accelerations that would drive a joint past its limit. `FaultMonitor`
+detects lost samples, stuck encoders and reversed torques, and brings the arm to rest.
+"""
+
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
@@ -10,21 +16,144 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..network import CSLC
 from ._computed_torque import smooth_friction
-from ._controller import AbstractController, Joints, PerJoint, Reference, per_joint
-from ._filters import LowPassChain
+from ._controller import (
+    AbstractController,
+    Joints,
+    PerJoint,
+    Reference,
+    coefficients_of,
+    per_joint,
+    required_velocity,
+    saturated,
+)
+from ._velocity_estimation import LowPassChain
+
+
+class JointLimitAvoidance(AbstractController):
+    """Wrapper that keeps a controller from driving joints past their limits.
+
+    It is a control barrier function.
+
+    The model predicts the acceleration that the controller's torque causes. It is clipped, joint by
+    joint, at the acceleration that brings the joint to the end of its range without overshoot:
+
+        −2 r qd + r² (lowest − q)  ≤  qdd  ≤  −2 r qd + r² (highest − q)
+
+    (a second-order control barrier, Nguyen and Sreenath 2016). Where no acceleration is clipped the
+    controller's torque is passed on unchanged. Otherwise the torque is the model's for the clipped
+    accelerations, within the drives' limits. A joint approaches its limit at the rate r. One that
+    is too fast for its drive, or whose drive has to carry its weight, can still pass it: use a slow
+    rate and a margin. While an acceleration is clipped, the controller's state is frozen, so that
+    no integral winds up.
+
+    **Attributes**
+
+    - `controller`: the wrapped controller; its state is this one's.
+    - `network`, `k`: (p,) the dynamics.
+    - `position_range`: (n, 2) lowest and highest positions, infinite for no limit [rad or m].
+    - `torque_limit`: (n,) [N m or N].
+    - `rate`: (n,) r [1/s].
+
+    >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
+    >>> from jaxcslc.control import PID, JointLimitAvoidance, Reference
+    >>> network = jc.derive(jc.examples.turntable().with_friction(), lengths="numeric")
+    >>> pid = PID(1, position_gain=100.0, velocity_gain=10.0)
+    >>> k = jnp.array([2.0])
+    >>> safe = JointLimitAvoidance(pid, network, k, [(-1.0, 1.0)], torque_limit=50.0, rate=10.0)
+    >>> q, qd = jnp.array([0.9]), jnp.zeros(1)  # a tenth of a radian from the limit
+    >>> torque, _ = safe.step(safe.begin(q), Reference.at_rest(jnp.array([2.0])), q, 0.002, qd)
+    >>> round(float(torque[0]), 6)  # 2 kg m² times 10² / s² times 0.1 rad
+    20.0
+    """
+
+    controller: AbstractController
+    network: CSLC
+    k: Float[Array, " coefficients"]
+    position_range: Float[Array, "joints 2"]
+    torque_limit: Float[Array, " joints"]
+    rate: Float[Array, " joints"]
+
+    def __init__(
+        self,
+        controller: AbstractController,
+        network: CSLC,
+        k: Float[Array | np.ndarray, " coefficients"],
+        position_range: Sequence[Sequence[float]] | Float[Array | np.ndarray, "joints 2"],
+        *,
+        torque_limit: PerJoint,
+        rate: PerJoint = 8.0,
+    ) -> None:
+        """Make a controller that respects the joints' position limits.
+
+        **Arguments** are the attributes; one number stands for all joints.
+
+        **Raises**
+
+        - `ValueError`: a wrong number of ranges, limits, rates or coefficients; a range that ends
+          before it begins; a negative limit or rate.
+        """
+        n = network.joint_count
+        self.controller, self.network, self.k = controller, network, coefficients_of(network, k)
+        ranges = np.asarray(position_range, float)
+        if ranges.shape != (n, 2):
+            raise ValueError(f"position_range: expected shape ({n}, 2), got {ranges.shape}")
+        for joint, (low, high) in enumerate(ranges, start=1):
+            if not low < high:
+                raise ValueError(
+                    f"position_range of joint {joint} is ({low:g}, {high:g}); expected the lowest"
+                    " position before a higher one"
+                )
+        self.position_range = jnp.asarray(ranges)
+        self.torque_limit = jnp.asarray(per_joint("torque_limit", torque_limit, n, 0.0))
+        self.rate = jnp.asarray(per_joint("rate", rate, n, 1e-3))
+
+    def begin(self, q: Joints) -> Any:
+        """Return the wrapped controller's state."""
+        return self.controller.begin(q)
+
+    def step(
+        self,
+        state: Any,
+        reference: Reference,
+        q: Joints,
+        interval: float | Array,
+        qd: Joints | None = None,
+    ) -> tuple[Float[Array, "*batch joints"], Any]:
+        """Compute a safe torque command, as `AbstractController.step` describes."""
+        qd = required_velocity(self, qd)
+        torque, after = self.controller.step(state, reference, q, interval, qd)
+        q, qd = jnp.asarray(q), jnp.asarray(qd)
+        low, high, rate = (
+            jnp.broadcast_to(values, q.shape)
+            for values in (self.position_range[:, 0], self.position_range[:, 1], self.rate)
+        )
+        damping = -2.0 * rate * qd
+        least, most = damping + rate**2 * (low - q), damping + rate**2 * (high - q)
+        acceleration = self.network.forward_dynamics(self.k, q, qd, torque)
+        allowed = jnp.clip(acceleration, least, most)
+        safe = saturated(self.network.torque(self.k, q, qd, allowed), self.torque_limit)
+        clipped = jnp.any(allowed != acceleration, axis=-1, keepdims=True)
+
+        def frozen(old: Any, new: Any) -> Any:
+            return jnp.where(clipped, old, new) if new.shape == q.shape else new
+
+        state = jax.tree_util.tree_map(frozen, state, after)
+        return jnp.where(clipped, safe, torque), state
 
 
 FAULTS = ("none", "lost samples", "stuck encoder", "reversed torque")
 """The faults that a `FaultMonitor` detects, by code."""
 
 _NONE, _LOST, _STUCK, _REVERSED = range(4)
-# Time constant of the evidence of a reversed torque.
-_EVIDENCE_TIME = 0.02  # s
-# A working encoder shows a motion of this size: a few counts of the coarsest encoder.
-_VISIBLE_MOTION = 1e-3  # rad or m
-_SLOW = 0.02  # rad/s or m/s
-# After this many equal readings an encoder may be stuck.
-_EQUAL_READINGS = 5
+# Defaults of `scripts/studies/faults/study.py`, which counts false alarms and detection times.
+_FILTER = LowPassChain(30.0, lags=3)  # of readings and torques; its delay delays detection
+_DETECTION_TIME = 0.02  # for which a stuck encoder is observed before it is a fault [s]
+_EVIDENCE_TIME = 0.02  # time constant of the evidence of a reversed torque [s]
+_VISIBLE_MOTION = 1e-3  # that a working encoder shows: some ticks of the coarsest [rad or m]
+_SLOW = 0.02  # below, friction at rest may have any sign [rad/s or m/s]
+_EQUAL_READINGS = 5  # after which an encoder may be stuck
+_STICTION, _MODEL_ERROR = 1.6, 0.02  # of breakaway: over friction, and of the torque limit
+_VERY_SLOW = 1e-6  # where friction is nearly breakaway's [rad/s or m/s]
 
 
 class FaultMonitorState(NamedTuple):
@@ -65,7 +194,7 @@ class FaultMonitorState(NamedTuple):
 
 
 class FaultMonitor(AbstractController):
-    """Fault detection around a controller: names faults and brings the arm to rest.
+    """Fault detection around a controller, which names faults and brings the arm to rest.
 
     The model of the controller also predicts how a healthy arm responds to a torque. The torque N
     that the motion requires (the network's, on readings filtered by a `LowPassChain`) is compared
@@ -74,7 +203,7 @@ class FaultMonitor(AbstractController):
     - **lost samples**: readings that are NaN. A few in a row are extrapolated with the latest
       velocity; more than `allowed` are a fault.
     - **stuck encoder**: a reading does not change while |τ − N| exceeds `breakaway`, the most that
-      friction can hold, for `detection_time`. A joint that is blocked by an obstacle looks the
+      friction can hold, for 0.02 s. A joint that is blocked by an obstacle looks the
       same. At rest, below breakaway, a stuck encoder cannot be detected yet.
     - **reversed torque**: N and τ have opposite signs. The evidence −4 N τ / friction² (the
       difference of the squared errors of the two hypotheses on the sign, less a margin for small
@@ -93,8 +222,6 @@ class FaultMonitor(AbstractController):
     - `network`, `k`: (p,) the dynamics.
     - `breakaway`: (n,) torque at which a joint at rest certainly moves [N m or N].
     - `torque_limit`: (n,) [N m or N].
-    - `filter`: of readings and torques; its delay is part of the detection time.
-    - `detection_time`: how long a stuck encoder is observed before it is a fault [s].
     - `stop_time`: within which the arm is brought to rest [s].
     - `allowed`: consecutive lost samples that are extrapolated.
 
@@ -119,8 +246,6 @@ class FaultMonitor(AbstractController):
     k: Float[Array, " coefficients"]
     breakaway: Float[Array, " joints"]
     torque_limit: Float[Array, " joints"]
-    filter: LowPassChain
-    detection_time: float
     stop_time: float
     allowed: int = eqx.field(static=True)
 
@@ -132,31 +257,25 @@ class FaultMonitor(AbstractController):
         *,
         torque_limit: PerJoint,
         breakaway: PerJoint | None = None,
-        filter: LowPassChain | None = None,
-        detection_time: float = 0.02,
         stop_time: float = 0.3,
         allowed: int = 5,
     ) -> None:
-        """A monitored controller.
+        """Make a monitored controller.
 
-        **Arguments** are the attributes. `breakaway` is 1.6 times the friction of a very slow joint
-        plus 2 % of the torque limit if omitted; the filter has three lags of 30 Hz.
+        **Arguments** are the attributes. If omitted, `breakaway` is `_STICTION` (1.6) times the
+        friction of a very slow joint plus 2 % of the torque limit.
 
         **Raises**
 
         - `ValueError`: a wrong number of values or coefficients, or a value out of range.
         """
         n = network.joint_count
-        self.controller, self.network, self.k = controller, network, jnp.asarray(k)
-        if self.k.shape != (network.size,):
-            raise ValueError(f"k: expected shape ({network.size},), got {self.k.shape}")
+        self.controller, self.network, self.k = controller, network, coefficients_of(network, k)
         self.torque_limit = jnp.asarray(per_joint("torque_limit", torque_limit, n, 0.0))
         if breakaway is None:
-            slow = [
-                jnp.abs(network.friction_term(self.k, jnp.full(n, speed)))
-                for speed in (1e-6, -1e-6)
-            ]
-            breakaway = 1.6 * jnp.maximum(*slow) + 0.02 * self.torque_limit
+            slow = jnp.full((2, n), _VERY_SLOW) * jnp.array([[1.0], [-1.0]])
+            friction = jnp.max(jnp.abs(network.friction_term(self.k, slow)), axis=0)
+            breakaway = _STICTION * friction + _MODEL_ERROR * self.torque_limit
         self.breakaway = jnp.asarray(per_joint("breakaway", breakaway, n, 0.0))
         if not isinstance(self.breakaway, Tracer):
             values = np.asarray(self.breakaway)
@@ -165,18 +284,14 @@ class FaultMonitor(AbstractController):
                     f"breakaway of joint {joint + 1} is {values[joint]}; expected a finite torque"
                     " above 0"
                 )
-        self.filter = LowPassChain(30.0, lags=3) if filter is None else filter
-        if self.filter.lags < 3:
-            raise ValueError(f"filter has {self.filter.lags} lags; accelerations need 3 or more")
-        for name, time in (("detection_time", detection_time), ("stop_time", stop_time)):
-            if not time > 0:
-                raise ValueError(f"{name} is {time} s; expected more than 0")
+        if not stop_time > 0:
+            raise ValueError(f"stop_time is {stop_time} s; expected more than 0")
         if allowed < 0:
             raise ValueError(f"allowed is {allowed}; expected 0 or more samples")
-        self.detection_time, self.stop_time, self.allowed = detection_time, stop_time, allowed
+        self.stop_time, self.allowed = stop_time, allowed
 
     def begin(self, q: Joints) -> FaultMonitorState:
-        """The state before the first sample, without faults."""
+        """Return the state before the first sample, without faults."""
         q = jnp.asarray(q)
         zeros, zero, count = jnp.zeros_like(q), jnp.zeros((), q.dtype), jnp.zeros(q.shape, int)
         return FaultMonitorState(
@@ -188,8 +303,8 @@ class FaultMonitor(AbstractController):
             stop_velocity=zeros,
             position=q,
             torque=zeros,
-            motion=self.filter.begin(q),
-            effort=self.filter.begin(zeros),
+            motion=_FILTER.begin(q),
+            effort=_FILTER.begin(zeros),
             lost=count,
             equal=count,
             blocked=zeros,
@@ -214,7 +329,7 @@ class FaultMonitor(AbstractController):
         blind = (state.fault == _LOST) | (state.fault == _STUCK)
         begins = jnp.any(faulty) & (state.stopping < 0)
         # A joint without a valid reading is assumed to follow its reference.
-        rate = self.filter.read(state.motion).rate
+        rate = _FILTER.read(state.motion).rate
         position = jnp.where(blind, reference.q, state.position)
         velocity = jnp.where(blind, reference.qd, rate)
         state = state._replace(
@@ -232,7 +347,7 @@ class FaultMonitor(AbstractController):
         return torque, state._replace(torque=torque, controller=inner)
 
     def report(self, state: FaultMonitorState) -> tuple[str, ...]:
-        """The faults detected so far, one line for each faulty joint. Not available under `jit`."""
+        """Return one line per faulty joint, with its fault. Not available under `jit`."""
         fault, detected = np.asarray(state.fault), np.asarray(state.detected)
         return tuple(
             f"joint {joint + 1}: {FAULTS[code]}, detected at {detected[joint]:.3f} s"
@@ -243,23 +358,21 @@ class FaultMonitor(AbstractController):
     def _detected(
         self, state: FaultMonitorState, q: Array, interval: float | Array
     ) -> FaultMonitorState:
-        """The state after a sample's readings, with newly detected faults."""
+        """Return the state after a sample's readings, with newly detected faults."""
         missing: Bool[Array, " joints"] = jnp.isnan(q)
-        rate = self.filter.read(state.motion).rate
+        rate = _FILTER.read(state.motion).rate
         reading = jnp.where(missing, state.position + rate * interval, q)
-        motion = self.filter.step(state.motion, state.position, reading, interval)
-        effort = self.filter.step(
-            state.effort, state.torque, state.torque, interval, hold="constant"
-        )
+        motion = _FILTER.step(state.motion, state.position, reading, interval)
+        effort = _FILTER.step(state.effort, state.torque, state.torque, interval, hold="constant")
         # Before the first sample the drives held the arm.
         first = state.time == 0
         zeros = jnp.zeros_like(reading)
-        effort = jnp.where(first, self.filter.begin(self._required(reading, zeros, zeros)), effort)
+        effort = jnp.where(first, _FILTER.begin(self._required(reading, zeros, zeros)), effort)
 
         lost = jnp.where(missing, state.lost + 1, 0)
         equal = jnp.where(~missing & (q == state.position), state.equal + 1, 0)
-        required = self._required(*self.filter.read(motion))
-        command = self.filter.read(effort).value
+        required = self._required(*_FILTER.read(motion))
+        command = _FILTER.read(effort).value
         pushed = (equal >= _EQUAL_READINGS) & (jnp.abs(command - required) > self.breakaway)
         blocked = jnp.where(pushed, state.blocked + interval, 0.0)
         # Errors as large as friction are no evidence.
@@ -275,7 +388,7 @@ class FaultMonitor(AbstractController):
             lost > self.allowed,
             _LOST,
             jnp.where(
-                blocked > self.detection_time,
+                blocked > _DETECTION_TIME,
                 _STUCK,
                 jnp.where(evidence > 1.0, _REVERSED, _NONE),
             ),
@@ -297,13 +410,13 @@ class FaultMonitor(AbstractController):
         )
 
     def _required(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """The torque of a motion; without friction at rest, where its sign is unknown."""
+        """Return the torque of a motion; without friction at rest, where its sign is unknown."""
         rigid = self.network.torque(self.network.without_friction(self.k), q, qd, qdd)
         width = jnp.full(qd.shape, _SLOW)
         return rigid + smooth_friction(self.network, self.k, qd, width)
 
     def _stopping_reference(self, state: FaultMonitorState, reference: Reference) -> Reference:
-        """The reference, or, after a fault, a uniform deceleration to rest."""
+        """Return the reference, or, after a fault, a uniform deceleration to rest."""
         elapsed = jnp.clip(state.stopping, 0.0, self.stop_time)
         remaining = 1.0 - elapsed / self.stop_time
         stopped = Reference(
@@ -313,8 +426,4 @@ class FaultMonitor(AbstractController):
             jnp.where(remaining > 0, -state.stop_velocity / self.stop_time, 0.0),
         )
         normal = state.stopping < 0
-        return Reference(
-            jnp.where(normal, reference.q, stopped.q),
-            jnp.where(normal, reference.qd, stopped.qd),
-            jnp.where(normal, reference.qdd, stopped.qdd),
-        )
+        return Reference(*(jnp.where(normal, *x) for x in zip(reference, stopped, strict=True)))
