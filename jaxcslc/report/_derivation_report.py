@@ -7,8 +7,13 @@ from typing import Any
 
 from ..derivation import StructuralIdentifiability, structural_identifiability
 from ..network import CSLC
-from ._coefficient_table import coefficient_rows, coefficient_text
-from ._model_description import expression_legend, joint_lines, legend_text
+from ._coefficients import (
+    coefficient_rows,
+    coefficient_text,
+    expression_legend,
+    joint_lines,
+    legend_text,
+)
 from ._output import all_or_nothing, write_csv, write_json
 
 

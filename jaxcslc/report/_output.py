@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .._scratch import scratch_folder
-from ._render import render
+from ._page import render
 
 
 if TYPE_CHECKING:
