@@ -9,6 +9,7 @@ results ──► Report (sections) ──► text, identification.json, CSV, in
 - `_derivation_report`: what a network has.
 """
 
+from .._scratch import all_or_nothing as all_or_nothing
 from ._charts import (
     AbstractChart as AbstractChart,
     ArmChart as ArmChart,
@@ -40,8 +41,6 @@ from ._load import (
     load_settings as load_settings,
 )
 from ._output import (
-    all_or_nothing as all_or_nothing,
-    check_output_folder as check_output_folder,
     replaced_files as replaced_files,
     write_csv as write_csv,
     write_json as write_json,

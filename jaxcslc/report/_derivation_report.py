@@ -5,6 +5,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
+from .._scratch import all_or_nothing
 from ..derivation import StructuralIdentifiability, structural_identifiability
 from ..network import CSLC
 from ._coefficients import (
@@ -14,7 +15,7 @@ from ._coefficients import (
     joint_lines,
     legend_text,
 )
-from ._output import all_or_nothing, write_csv, write_json
+from ._output import write_csv, write_json
 
 
 # Counting the tables of 12 right-angled joints takes ten times as long as all the rest.
