@@ -1,6 +1,7 @@
-"""Scratch folders and files that replace their target only once they are whole.
+"""Files and folders that replace their target only once they are whole.
 
-`unfinished` writes one file and `scratch_folder` several. Both remove what killed processes left.
+`unfinished` writes one file and `all_or_nothing` several into a folder. Both remove what killed
+processes left.
 """
 
 import contextlib
@@ -13,20 +14,39 @@ from collections.abc import Generator
 from pathlib import Path
 
 
-@contextlib.contextmanager
-def scratch_folder(parent: Path, name: str) -> Generator[Path]:
-    """A hidden folder in `parent` for what is to become `name`; removed at the end.
+def check_output_folder(folder: Path) -> None:
+    """**Raises** `ValueError` if the results cannot go there: a file, or no right to write."""
+    for path in (folder, *folder.absolute().parents):
+        if path.exists():
+            if not path.is_dir():
+                raise ValueError(f"{path}: expected a folder for the results, this is a file")
+            if not os.access(path, os.W_OK | os.X_OK):
+                raise ValueError(f"{path}: expected a folder that can be written to")
+            return
 
-    So is what processes that were killed left behind of it.
+
+@contextlib.contextmanager
+def all_or_nothing(folder: Path) -> Generator[Path]:
+    """Make a scratch folder whose files move into `folder` when all of them are written.
+
+    If writing fails, the files of `folder` stay as they were. Files of other names are not touched.
+    What a process that was killed left behind is removed.
+
+    **Raises** as `check_output_folder`.
     """
-    remove_left_behind(parent, name)
-    with _new_scratch_folder(parent, name) as scratch:
+    check_output_folder(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    remove_left_behind(folder.parent, folder.name)
+    with _scratch_folder(folder.parent, folder.name) as scratch:
         yield scratch
+        folder.mkdir(exist_ok=True)
+        for path in sorted(scratch.iterdir()):
+            os.replace(path, folder / path.name)
 
 
 @contextlib.contextmanager
 def unfinished(path: Path, *, clean: bool = True) -> Generator[Path]:
-    """A file of that name to write, which takes the place of `path` once it is whole.
+    """Name a file to write, which takes the place of `path` once it is whole.
 
     If writing fails, or the process is killed, `path` stays as it was.
 
@@ -38,7 +58,7 @@ def unfinished(path: Path, *, clean: bool = True) -> Generator[Path]:
     """
     if clean:
         remove_left_behind(path.parent, path.name)
-    with _new_scratch_folder(path.parent, path.name) as scratch:
+    with _scratch_folder(path.parent, path.name) as scratch:
         yield scratch / path.name
         os.replace(scratch / path.name, path)
 
@@ -59,7 +79,8 @@ def remove_left_behind(parent: Path, name: str | None = None) -> None:
 
 
 @contextlib.contextmanager
-def _new_scratch_folder(parent: Path, name: str) -> Generator[Path]:
+def _scratch_folder(parent: Path, name: str) -> Generator[Path]:
+    """Make a hidden folder in `parent` for what is to become `name`; removed at the end."""
     prefix = f".{name}-{platform.node()}-{os.getpid()}-"
     try:
         scratch = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))

@@ -50,7 +50,7 @@ def test_python_runs_the_command() -> None:
 def test_ctrl_c_in_a_command_is_said() -> None:
     """typer ends a command that Ctrl-C interrupts by a status alone."""
     program = """
-import jaxcslc.cli._robot_options as options
+import jaxcslc.cli._inputs as options
 from jaxcslc.cli import main
 
 def interrupted(*_, **__):

@@ -1,9 +1,8 @@
 """The command `jaxcslc`: options, one call of the library, and printed results.
 
 - `_app`: the command line; `_process`: settings of its process.
-- `_check`, `_compare`, `_constants`, `_derive`, `_excite`, `_export`, `_identify`, `_payload`:
-  a command each.
-- `_common`, `_spread` and the modules of options: options and helpers that commands share.
+- `_check`, `_compare`, `_derive`, `_excite`, `_export`, `_identify`, `_payload`: the commands.
+- `_common`, `_inputs`: what commands share; how they read robots and recordings.
 """
 
 import sys

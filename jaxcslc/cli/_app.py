@@ -17,23 +17,22 @@ from ._process import collect_garbage
 if TYPE_CHECKING:
     app: typer.Typer
 
-# The function of each command, in the module of its name: imported when it is typed, or when all
-# commands are listed.
-_COMMANDS = (
-    "example",
-    "derive",
-    "check",
-    "identify",
-    "compare",
-    "excite",
-    "export",
-    "payload",
-    "constants",
-)
+# The module of each command: imported when it is typed, or when all commands are listed.
+_COMMANDS = {
+    "example": "_example",
+    "derive": "_derive",
+    "check": "_check",
+    "identify": "_identify",
+    "compare": "_compare",
+    "excite": "_excite",
+    "export": "_export",
+    "payload": "_payload",
+    "constants": "_payload",
+}
 
 
 def application(commands: Iterable[str] = _COMMANDS) -> typer.Typer:
-    """The command line with some of its commands."""
+    """Return the command line with some of its commands."""
     made = typer.Typer(
         add_completion=False,
         no_args_is_help=True,
@@ -43,13 +42,13 @@ def application(commands: Iterable[str] = _COMMANDS) -> typer.Typer:
     )
     made.callback()(_common)
     for name in commands:
-        module = import_module(f"._{name}", __package__)
+        module = import_module(f".{_COMMANDS[name]}", __package__)
         made.command(name)(getattr(module, f"{name}_command"))
     return made
 
 
 def __getattr__(name: str) -> typer.Typer:
-    """`app`, the command line with all commands."""
+    """Return `app`, the command line with all commands."""
     if name != "app":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return globals().setdefault("app", application())

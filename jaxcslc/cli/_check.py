@@ -6,13 +6,11 @@ from typing import Annotated
 import typer
 
 from ..checks import check
-from ._common import RobotArgument, one_line_errors, progress, robot_notes
-from ._recording_options import RecordingOptions
-from ._robot_options import Drives, RobotPart
-from ._spread import spread
+from ._common import command, progress
+from ._inputs import Drives, RecordingOptions, RobotArgument, RobotPart, robot_notes
 
 
-@spread
+@command
 def check_command(
     robot: RobotArgument,
     recordings: Annotated[
@@ -27,19 +25,16 @@ def check_command(
     Prints what was read, and what looks wrong, with the likely cause and what to do about it.
     Exit code 0: nothing looks wrong; 1: something does; 2: wrong input.
     """
-    with one_line_errors(), progress("reading") as step:
+    with progress("reading") as step:
         manipulator = part.read(robot)
+        names = [str(path) for path in recordings]
         read = [options.read(path, manipulator) for path in recordings]
         step("deriving")
         lengths = "numeric" if manipulator.has_all_lengths else "symbolic"
         network = drives.network(manipulator, lengths)
-        names = [str(path) for path in recordings]
         page = check(network, read, names, progress=step)
-        notes = robot_notes(manipulator) + [
-            f"note: {name}: {note}"
-            for name, recording in zip(names, read, strict=True)
-            for note in recording.notes
-        ]
-    typer.echo("\n".join([str(page), *notes]))
+    named = zip(names, read, strict=True)
+    notes = [f"note: {name}: {note}" for name, recording in named for note in recording.notes]
+    typer.echo("\n".join([str(page), *robot_notes(manipulator), *notes]))
     if page.findings:
         raise typer.Exit(1)

@@ -6,9 +6,10 @@ from typing import Annotated
 import typer
 
 from ..report import compare_reports
-from ._common import one_line_errors
+from ._common import command, wrote
 
 
+@command
 def compare_command(
     first: Annotated[
         Path,
@@ -25,19 +26,12 @@ def compare_command(
 
     Differences of coefficients are in standard errors, systematic errors included.
     """
-    with one_line_errors():
-        if output is not None:
-            _check_page(output)
-        comparison = compare_reports(first, second)
-        if output is not None:
-            comparison.save(output)
-    typer.echo(str(comparison) + ("" if output is None else f"\n\nwrote {output}"))
-
-
-def _check_page(path: Path) -> None:
-    """**Raises** `ValueError` for what is no place for a page, as another file that it would
-    replace."""
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise ValueError(f"{path}: expected a name that ends in .html")
-    if not path.absolute().parent.is_dir() or path.is_dir():
-        raise ValueError(f"{path}: expected an HTML file in a folder that exists")
+    if output is not None:
+        if output.suffix.lower() not in (".html", ".htm"):
+            raise ValueError(f"{output}: expected a name that ends in .html")
+        if not output.absolute().parent.is_dir() or output.is_dir():
+            raise ValueError(f"{output}: expected an HTML file in a folder that exists")
+    comparison = compare_reports(first, second)
+    if output is not None:
+        comparison.save(output)
+    typer.echo(str(comparison) + ("" if output is None else f"\n\n{wrote([output])}"))

@@ -5,21 +5,19 @@ from typing import Annotated
 
 import typer
 
-from ..report import DerivationReport, check_output_folder
-from ._common import (
-    CommandContext,
+from ..report import DerivationReport
+from ._common import CommandContext, check_no_robot_options, check_output, command, wrote
+from ._inputs import (
+    Drives,
     LengthsOption,
     RobotOrSystemArgument,
-    check_no_robot_options,
+    RobotPart,
     is_system,
-    one_line_errors,
     with_notes,
 )
-from ._robot_options import Drives, RobotPart
-from ._spread import spread
 
 
-@spread
+@command
 def derive_command(
     context: CommandContext,
     robot: RobotOrSystemArgument,
@@ -34,25 +32,19 @@ def derive_command(
 
     Or separate the unknown constants of another system from its variables.
     """
-    with one_line_errors():
-        if output is not None:
-            check_output_folder(output)
-        if is_system(robot):
-            check_no_robot_options(context, robot)
-            _derive_system(robot, output)
-            return
+    if output is not None:
+        check_output(context, output, ())
+    if is_system(robot):
+        from ..systems import load_system, save_derivation  # robots need not wait for it
+
+        check_no_robot_options(context, robot)
+        system = load_system(robot)
+        typer.echo(system)
+        paths = () if output is None else save_derivation(system, output)
+    else:
         network = drives.network(part.read(robot), lengths)
         report = DerivationReport.of(network)
         typer.echo(with_notes(report, network.robot))
-        if output is not None:
-            typer.echo("\nwrote " + ", ".join(str(path) for path in report.save(output)))
-
-
-def _derive_system(name: str, output: Path | None) -> None:
-    from ..systems import load_system, save_derivation  # robots need not wait for it
-
-    system = load_system(name)
-    typer.echo(system)
-    if output is not None:
-        paths = save_derivation(system, output)
-        typer.echo("\nwrote " + ", ".join(str(path) for path in paths))
+        paths = () if output is None else report.save(output)
+    if paths:
+        typer.echo(f"\n{wrote(paths)}")

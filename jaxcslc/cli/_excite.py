@@ -1,9 +1,9 @@
-"""The command `jaxcslc excite`."""
+"""The command `jaxcslc excite`: the motion to record next, what it is for, and what is known."""
 
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -11,7 +11,6 @@ import typer
 from ..excitation import (
     CRITERIA,
     FAMILIES,
-    Design,
     Effort,
     Goal,
     Knowledge,
@@ -28,32 +27,168 @@ from ..least_squares import Identification, Settings
 from ..manipulator import Manipulator
 from ..network import CSLC
 from ..recordings import Sampling
-from ..report import check_output_folder, load_report
+from ..report import load_report
 from ._common import (
-    ColumnsOption,
     CommandContext,
-    LengthsOption,
-    RobotArgument,
-    check_inputs_are_kept,
+    check_output,
     choice_of,
+    command,
     command_text,
     names_in,
-    one_line_errors,
     progress,
+    typed_options,
+    wrote,
+)
+from ._inputs import (
+    ColumnsOption,
+    Drives,
+    LengthsOption,
+    RobotArgument,
+    RobotPart,
     recording_of,
     recordings_of,
-    typed_options,
 )
-from ._excite_options import MotionOptions
-from ._robot_options import Drives, RobotPart
-from ._spread import spread
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionOptions:
+    """The motion, the coefficients that it is for, and noise of its recording."""
+
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            help="CSV file of the motion; .yaml, .json, .h and .html go beside it.",
+        ),
+    ] = Path("motion.csv")
+    duration: Annotated[float, typer.Option(help="Length of the motion [s].")] = 10.0
+    rate: Annotated[
+        float,
+        typer.Option(
+            help="Rows a second, and of the recording [Hz]; that of --prior or --after if omitted.",
+        ),
+    ] = 500.0
+    family: Annotated[
+        str,
+        typer.Option(
+            metavar="splines|fourier|periodic|moves",
+            help="B-splines, a Fourier series, one that ends where it starts, or minimum-jerk"
+            " moves.",
+        ),
+    ] = "splines"
+    wanted: Annotated[
+        str | None,
+        typer.Option(
+            "--for",
+            metavar="NAMES",
+            help="Coefficients that matter, by group or name as in viscous,kd5; all if omitted.",
+        ),
+    ] = None
+    payload: Annotated[
+        float | None,
+        typer.Option(
+            metavar="KG",
+            help="Design for a payload of about this mass at the last link, which payload"
+            " identifies: its coefficients are those that matter, unless --for names others. What"
+            " --prior or --after say of the arm counts as known.",
+        ),
+    ] = None
+    criterion: Annotated[
+        str,
+        typer.Option(
+            metavar="overall|error|worst|torque|bodies|A|D|E|condition|scaled_condition",
+            help="What is made small: mean or largest standard error over size, error of torques"
+            " on --task, the mean of the first and the third (overall), or what other designs use"
+            " (docs/excitation.md).",
+        ),
+    ] = "overall"
+    prior: Annotated[
+        Path | None,
+        typer.Option(
+            "--prior", help="identification.json of earlier recordings: what is known already."
+        ),
+    ] = None
+    after: Annotated[
+        list[Path] | None,
+        typer.Option(help="Earlier recordings, which are identified first; may be repeated."),
+    ] = None
+    reach: Annotated[
+        float | None,
+        typer.Option(
+            metavar="PERCENT",
+            help="Standard error over size that all coefficients of --for should reach: nothing is"
+            " designed where they have.",
+        ),
+    ] = None
+    limits: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="LIMITS.TOML",
+            help="Limits of joints, and surroundings to keep away from; those of the robot's file"
+            " if omitted.",
+        ),
+    ] = None
+    torque_noise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NUMBERS",
+            help="Standard deviation of torques, one or one a joint [N m]; of --prior or --after,"
+            " or 1 % of the torque limits if omitted.",
+        ),
+    ] = None
+    torque_offset: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NUMBERS",
+            help="Standard deviation of constant errors of torques, one or one a joint [N m]; as"
+            " large as --torque-noise if omitted, 0 after --prior or --after and for joints with"
+            " friction of kind offset or asymmetric_dry.",
+        ),
+    ] = None
+    encoder: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NUMBERS",
+            help="Step of encoders, one or one a joint [rad]; that of --prior or --after, or 1e-4"
+            " if omitted.",
+        ),
+    ] = None
+    estimator: Annotated[
+        str,
+        typer.Option(
+            metavar="likelihood|regression", help="The estimator that the recording is for."
+        ),
+    ] = "likelihood"
+    task: Annotated[
+        Path | None,
+        typer.Option(
+            help="Recording of the motion on which torques matter, for criteria overall and"
+            " torque; random motions within the limits if omitted.",
+        ),
+    ] = None
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NUMBERS",
+            help="Pose to start from, one number a joint [rad or m]; searched for if omitted.",
+        ),
+    ] = None
+    seed: Annotated[
+        int, typer.Option(help="Seed of random motions; the same gives the same motion.")
+    ] = 0
+    starts: Annotated[
+        int, typer.Option(help="How many random motions the search starts from; the best counts.")
+    ] = 3
 
 
 # Kinds of friction with a coefficient for a torque that is the same whatever the motion.
 _CONSTANTS = {"offset", "asymmetric_dry"}
+# Before a first recording: noise of torques over their limits, and the step of encoders [rad].
+_TORQUE_NOISE, _ENCODER = 0.01, 1e-4
 
 
-@spread
+@command
 def excite_command(
     context: CommandContext,
     robot: RobotArgument,
@@ -64,11 +199,13 @@ def excite_command(
     columns: ColumnsOption = None,
 ) -> None:
     """Design the motion to record next, within all limits, for the least errors."""
-    with one_line_errors(), progress("reading") as step:
+    with progress("reading") as step:
         _check_options(context, options)
         arm = part.read(robot)
         before = _before(arm, options, columns, lambda: drives.network(arm, lengths), step)
-        before, names = _wanted(before, options.wanted, options.payload)
+        names = None if options.wanted is None else names_in(options.wanted)
+        if options.payload is not None:
+            before, names = before.carrying(options.payload), names or ["payload"]
         bounds = Limits.of(arm) if not options.limits else load_limits(options.limits, arm)
         asked = "rate" in typed_options(context)
         rate = options.rate if asked else before.rate(options.rate)
@@ -90,8 +227,14 @@ def excite_command(
             progress=step,
         )
         paths = save_design(design, options.output, command=command_text(context))
-    text = _text(design, before, options.reach)
-    typer.echo(f"{text}\n\nwrote " + ", ".join(map(str, paths)))
+    lines = [str(design)]
+    if before.fit is not None:
+        lines += ["", f"{design.family.duration:g} s more are predicted to bring"]
+        lines += [f"  {gain}" for gain in design.prediction.gains()]
+    if (reach := options.reach) is not None:
+        seconds = design.seconds_for(reach / 100)
+        lines.append(f"{reach:g} % of all sizes: about {seconds:.3g} s of such motion")
+    typer.echo("\n".join([*lines, "", wrote(paths)]))
 
 
 def _check_options(context: CommandContext, options: MotionOptions) -> None:
@@ -102,8 +245,7 @@ def _check_options(context: CommandContext, options: MotionOptions) -> None:
     folder = options.output.parent
     if not folder.is_dir():
         raise ValueError(f"{folder}: no such folder")
-    check_output_folder(folder)
-    check_inputs_are_kept(context, design_files(options.output))
+    check_output(context, folder, design_files(options.output))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,8 +255,8 @@ class _Before:
     network: CSLC
     knowledge: Knowledge
     fit: Identification | None = None
+    settings: Settings | None = None
     sampling: Sampling | None = None
-    cutoff: float | None = None  # of the low pass of the fit's equations [Hz]
 
     def rate(self, default: float) -> float:
         """Return the sampling rate [Hz]."""
@@ -138,34 +280,19 @@ def _before(
     if prior is not None and after:
         raise ValueError("--prior and --after: expected one of them")
     if prior is not None:
-        saved = load_report(prior, arm)
-        settings = saved.settings
-        sampling = None if settings is None else settings.chosen_on
-        knowledge = Knowledge.of_fit(saved.network, saved.fit)
-        return _Before(saved.network, knowledge, saved.fit, sampling, _cutoff(settings))
-    network = derived()
-    if not after:
+        report = load_report(prior, arm)
+        network = report.network
+        sampling = None if report.settings is None else report.settings.chosen_on
+    elif after:
+        network = derived()
+        recordings = recordings_of(after, lambda path: recording_of(path, network.robot, columns))
+        report = identify(network, recordings, possible="never", progress=step)
+        sampling = Sampling.of(next(iter(recordings.values())))
+    else:
+        network = derived()
         return _Before(network, Knowledge.of_robot(network))
-    recordings = recordings_of(after, lambda path: recording_of(path, network.robot, columns))
-    report = identify(network, recordings, possible="never", progress=step)
-    sampling = Sampling.of(next(iter(recordings.values())))
     knowledge = Knowledge.of_fit(network, report.fit)
-    return _Before(network, knowledge, report.fit, sampling, _cutoff(report.settings))
-
-
-def _wanted(
-    before: _Before, wanted: str | None, payload: float | None
-) -> tuple[_Before, list[str] | None]:
-    """Return what is known, with a payload if one is carried, and the coefficients that matter."""
-    names = None if wanted is None else names_in(wanted)
-    if payload is None:
-        return before, names
-    return before.carrying(payload), names or ["payload"]
-
-
-def _cutoff(settings: Settings | None) -> float | None:
-    """Return the cut-off of the low pass of a fit's equations; None without one."""
-    return None if settings is None else settings.solver.cutoff
+    return _Before(network, knowledge, report.fit, report.settings, sampling)
 
 
 def _stated_noise(options: MotionOptions) -> dict[str, Any]:
@@ -174,36 +301,30 @@ def _stated_noise(options: MotionOptions) -> dict[str, Any]:
         "offset": ("--torque-offset", options.torque_offset),
         "resolution": ("--encoder", options.encoder),
     }
-    stated = {
+    given = {
         name: _numbers(option, text) for name, (option, text) in texts.items() if text is not None
     }
-    return stated | {"estimator": options.estimator}
+    return {**given, "estimator": options.estimator}
 
 
 def _noise(before: _Before, limits: Limits, stated: dict[str, Any]) -> Noise:
-    """Stated, or as earlier recordings had it, or a guess."""
+    """Return noise as stated, or as earlier recordings had it, or a guess."""
     if before.fit is not None:
-        return Noise.of_fit(before.fit, before.sampling, cutoff=before.cutoff, **stated)
+        cutoff = None if before.settings is None else before.settings.solver.cutoff
+        return Noise.of_fit(before.fit, before.sampling, cutoff=cutoff, **stated)
     if "torque" not in stated:
         if not np.isfinite(limits.torque).all():
             raise ValueError("--torque-noise: expected it, as not all joints have a torque limit")
-        stated["torque"] = tuple((0.01 * limits.torque).tolist())
-    defaults: dict[str, Any] = {"resolution": 1e-4, "offset": _offset(before, stated["torque"])}
+        stated["torque"] = tuple((_TORQUE_NOISE * limits.torque).tolist())
+    # Between directions a torque differs, never by nothing, and by how much is unknown before a
+    # first recording. Where the model has a coefficient for it, it is no error: no motion tells it
+    # from the coefficient, and a criterion that counts both sees less of the others.
+    torque, kinds = stated["torque"], before.network.friction_per_joint
+    torque = torque if len(torque) > 1 else torque * len(kinds)
+    pairs = zip(kinds, torque, strict=False)
+    offset = tuple(0.0 if _CONSTANTS & set(terms) else value for terms, value in pairs)
+    defaults: dict[str, Any] = {"resolution": _ENCODER, "offset": offset}
     return Noise(**(defaults | stated))
-
-
-def _offset(before: _Before, torque: tuple[float, ...]) -> tuple[float, ...]:
-    """Return the assumed torque that differs between directions, per joint.
-
-    It is unknown before a first recording, and never nothing. Where the model has a coefficient for
-    it, it is no error. No motion tells it from the coefficient, and a criterion that counts both
-    sees less of the others.
-    """
-    noise = torque if len(torque) > 1 else torque * before.network.joint_count
-    return tuple(
-        0.0 if _CONSTANTS & set(kinds) else value
-        for kinds, value in zip(before.network.friction_per_joint, noise, strict=False)
-    )
 
 
 def _reached(before: _Before, names: list[str] | None, reach: float | None) -> str | None:
@@ -218,18 +339,6 @@ def _reached(before: _Before, names: list[str] | None, reach: float | None) -> s
     if np.all(relative <= reach):
         return f"nothing to record: standard errors are {np.max(relative):.3g} % or less already"
     return None
-
-
-def _text(design: Design, before: _Before, reach: float | None) -> str:
-    """The design, what it buys, and how long it takes to reach a wish."""
-    lines = [str(design)]
-    if before.fit is not None:
-        lines += ["", f"{design.family.duration:g} s more are predicted to bring"]
-        lines += [f"  {gain}" for gain in design.prediction.gains()]
-    if reach is not None:
-        seconds = design.seconds_for(reach / 100)
-        lines.append(f"{reach:g} % of all sizes: about {seconds:.3g} s of such motion")
-    return "\n".join(lines)
 
 
 def _numbers(option: str, text: str) -> tuple[float, ...]:

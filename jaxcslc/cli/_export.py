@@ -8,12 +8,11 @@ import typer
 
 from ..export import c_code, export_robot, write_c
 from ..report import Report, load_report
-from ._common import BUNDLED, RobotArgument, one_line_errors, progress, with_notes
-from ._robot_options import RobotPart
-from ._spread import spread
+from ._common import command, progress
+from ._inputs import BUNDLED, RobotArgument, RobotPart, with_notes
 
 
-@spread
+@command
 def export_command(
     robot: RobotArgument,
     identification: Annotated[
@@ -54,37 +53,35 @@ def export_command(
     same torques. C code has the identified coefficients as they are, and states of dry friction
     that yields before it slides, where identify used them.
     """
-    with one_line_errors(), progress("reading") as step:
-        file = _file_of(robot)
+    with progress("reading") as step:
+        bundled = files("jaxcslc.manipulator") / "robots" / f"{robot}.toml"
+        file = Path(str(bundled)) if robot in BUNDLED else Path(robot)
         path = Path(f"{file.stem}_identified{file.suffix}") if output is None else output
-        if not c and not overwrite:
-            _check_is_another(path, file)
+        if not c and not overwrite and path.exists() and file.exists() and path.samefile(file):
+            raise ValueError(f"{path}: is the robot's own file; expected another, or --overwrite")
         saved = load_report(identification, part.read(str(file)))
         if c:
             step("writing C")
             text = _written_c(saved, output)
         else:
-            text = str(
-                export_robot(
-                    saved.network,
-                    saved.fit,
-                    path,
-                    motion=saved.motion,
-                    motors=motors,
-                    systematic=saved.systematic,
-                    progress=step,
-                )
+            written = export_robot(
+                saved.network,
+                saved.fit,
+                path,
+                motion=saved.motion,
+                motors=motors,
+                systematic=saved.systematic,
+                progress=step,
             )
-            text += _pre_sliding(saved, "is left out: dry friction is a step")
+            text = str(written) + _pre_sliding(saved, "is left out: dry friction is a step")
     typer.echo(with_notes(text, saved.network.robot))
 
 
 def _written_c(saved: Report, output: Path | None) -> str:
-    """Writes C code. **Returns** what is printed of it."""
-    if saved.pre_sliding is None:
+    """Write C code, and return what is printed of it."""
+    if (states := saved.pre_sliding) is None:
         code = c_code(saved.network, saved.fit.k)
     else:
-        states = saved.pre_sliding
         code = c_code(states.network, states.fit.k, lengths=states.presliding_distance)
     source, header = write_c(code, output)
     counts = ", ".join(f"{name} {count}" for name, count in code.operations.items())
@@ -96,19 +93,7 @@ def _written_c(saved: Report, output: Path | None) -> str:
 
 
 def _pre_sliding(saved: Report, what: str) -> str:
-    """A line of what becomes of joints that yield before they slide, if any do."""
+    """Return a line of what becomes of joints that yield before they slide, if any do."""
     if saved.pre_sliding is None:
         return ""
     return f"\nnote: pre-sliding of {', '.join(saved.pre_sliding.joint_names)} {what}"
-
-
-def _check_is_another(path: Path, file: Path) -> None:
-    """**Raises** `ValueError` where the output is the robot's own file."""
-    if path.exists() and file.exists() and path.samefile(file):
-        raise ValueError(f"{path}: is the robot's own file; expected another, or --overwrite")
-
-
-def _file_of(robot: str) -> Path:
-    if robot in BUNDLED:
-        return Path(str(files("jaxcslc.manipulator") / "robots" / f"{robot}.toml"))
-    return Path(robot)

@@ -1,45 +1,189 @@
-"""The command `jaxcslc identify`."""
+"""The command `jaxcslc identify`: its options, and identification on a cluster."""
 
+import contextlib
+import dataclasses
+import functools
+import glob
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
+from .._environment import require
 from .._processes import processes_beside
 from ..bodies import Choice, load_prior
 from ..identification import ESTIMATORS, identify
+from ..least_squares import fit_fleet_on_cluster, fit_on_cluster
 from ..likelihood import MaximumLikelihood
 from ..manipulator import Manipulator
 from ..network import CSLC
-from ..report import Report, check_output_folder, load_report, load_settings, replaced_files
-from ._cluster import identified_on_cluster
+from ..report import Report, load_report, load_settings, replaced_files
+from ..selection import choose_settings
 from ._common import (
     CommandContext,
-    RobotOrSystemArgument,
-    check_inputs_are_kept,
     check_no_robot_options,
+    check_output,
     choice_of,
+    command,
     command_text,
-    is_system,
     names_in,
-    one_line_errors,
     progress,
-    recordings_of,
     typed_options,
-    without_none,
+    wrote,
 )
-from ._identify_options import IdentifyOptions
-from ._recording_options import RecordingOptions
-from ._robot_options import Drives, RobotPart
-from ._spread import spread
+from ._inputs import (
+    Drives,
+    LengthsOption,
+    OutputOption,
+    RecordingOptions,
+    RobotOrSystemArgument,
+    RobotPart,
+    SettingsOption,
+    is_system,
+    recordings_of,
+)
 
 
 if TYPE_CHECKING:
     from ..systems import SystemReport
 
 
+@dataclasses.dataclass(frozen=True)
+class IdentifyOptions:
+    """Recordings to fit and to judge on, the estimator, and what is known and asked for."""
+
+    train: Annotated[
+        list[Path],
+        typer.Argument(metavar="TRAIN...", help="Recording to fit, or several of one robot."),
+    ]
+    validate: Annotated[
+        Path | None, typer.Option(help="Recording to judge the fit on; it is not fitted.")
+    ] = None
+    output: OutputOption = Path("identified")
+    lengths: LengthsOption = "auto"
+    settings: SettingsOption = None
+    estimator: Annotated[
+        str,
+        typer.Option(
+            metavar="|".join(ESTIMATORS),
+            help="Regression on smoothed motion; or positions and coefficients estimated together,"
+            " without a smoothing; or instruments from simulated motion, which say whether"
+            " regression is biased; or the one of the first two that predicts motion that was not"
+            " fitted better.",
+        ),
+    ] = "least-squares"
+    likelihood_every: Annotated[
+        int | None,
+        typer.Option(
+            help="Maximum likelihood: equations of motion over two times so many samples, for arms"
+            " whose transmission vibrates. By the noise of estimated positions if omitted.",
+        ),
+    ] = None
+    measured: Annotated[
+        bool | None,
+        typer.Option(
+            "--measured/--demanded",
+            help="Torques were measured at the samples, or are demands that drives hold to the"
+            " next sample; by default what the file's format says. It counts where the recording"
+            " itself does not show which torque belongs to a sample.",
+            show_default=False,
+        ),
+    ] = None
+    offsets: Annotated[
+        bool,
+        typer.Option(
+            "--offsets", help="Fit a constant torque of each joint in each recording along."
+        ),
+    ] = False
+    torque_lag: Annotated[
+        float | None,
+        typer.Option(
+            help="How much later than positions torques were measured [s]; that of --settings, or"
+            " 0, if omitted.",
+        ),
+    ] = None
+    loss: Annotated[
+        str | None,
+        typer.Option(
+            metavar="squared|huber|bisquare",
+            help="Loss of the fit; huber and bisquare bound what outliers do to it; that of"
+            " --settings, or squared, if omitted.",
+        ),
+    ] = None
+    folds: Annotated[
+        int | None,
+        typer.Option(help="Stretches that settings are chosen by; 8, or fewer if it is short."),
+    ] = None
+    check: Annotated[
+        bool, typer.Option(help="Check the recordings first, as jaxcslc check does.")
+    ] = True
+    reidentify: Annotated[
+        str | None,
+        typer.Option(
+            metavar="GROUPS",
+            help="Fit only these coefficients, by group or name as in viscous,dry; all others are"
+            " fixed at those of --previous.",
+        ),
+    ] = None
+    previous: Annotated[
+        Path | None,
+        typer.Option(help="The identification.json of a previous run, for --reidentify."),
+    ] = None
+    systematic: Annotated[
+        bool,
+        typer.Option(help="Widen a robot's intervals by errors of smoothing and of missing terms."),
+    ] = True
+    possible: Annotated[
+        str,
+        typer.Option(
+            metavar="auto|always|never",
+            help="Fit physically possible bodies along, and use their coefficients where they"
+            " predict motion that was left out better than the free fit; or always; or do not.",
+        ),
+    ] = "auto"
+    prior: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PRIORS.TOML",
+            help="What is known of coefficients and links: fixed, bounded, or with an error"
+            " (docs/uncertainty.md).",
+        ),
+    ] = None
+    memory: Annotated[
+        float,
+        typer.Option(
+            metavar="GB",
+            help="Memory to use, about: in a longer recording, settings are chosen and fits judged"
+            " on a part that is said; coefficients are fitted to all of it.",
+        ),
+    ] = 2.0
+    horizon: Annotated[
+        bool,
+        typer.Option(
+            "--horizon",
+            help="Simulate the identified arm open loop from recorded states, beside that of the"
+            " file and one with pre-sliding that was used, and report how far positions are off"
+            " after 0.1 to 5 s.",
+        ),
+    ] = False
+    dask: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS|local",
+            help="Fit many recordings on the workers of a Dask cluster, or of one that is started"
+            " here. Quoted patterns are expanded, as 'logs/*.parquet'.",
+        ),
+    ] = None
+    fleet: Annotated[
+        bool,
+        typer.Option("--fleet", help="With --dask: fit each recording by itself, as of a robot."),
+    ] = False
+
+
+# Fits of a fleet that are printed; all are in the file.
+_PRINTED = 20
 # What `identify` does on a cluster besides fitting is to read, prepare and settings.
 _OF_CLUSTER = {
     *(field.name for kind in (RobotPart, Drives, RecordingOptions) for field in fields(kind)),
@@ -47,7 +191,7 @@ _OF_CLUSTER = {
 }
 
 
-@spread
+@command
 def identify_command(
     context: CommandContext,
     robot: RobotOrSystemArgument,
@@ -61,43 +205,43 @@ def identify_command(
     Or those of another system, from a recording with a column for each of its variables.
     """
     known = options.estimator == "least-squares"  # the time that it takes
-    with one_line_errors(), progress("reading", estimated=known) as step, processes_beside():
-        check_output_folder(options.output)
-        check_inputs_are_kept(context, replaced_files(options.output))
+    with progress("reading", estimated=known) as step, processes_beside():
+        check_output(context, options.output, replaced_files(options.output))
         if options.dask is not None or options.fleet:
             _check_cluster_options(context, robot, options)
             arm = part.read(robot)
             network = drives.network(arm, options.lengths)
-            return typer.echo(identified_on_cluster(network, options, recordings, step))
+            return typer.echo(_identified_on_cluster(network, options, recordings, step))
         if is_system(robot):
             check_no_robot_options(context, robot)
             report = _identified_system(robot, options, step)
         else:
-            arm = part.read(robot)
-            saved = _previous_report(context, arm, options.previous)
-            network = drives.network(arm, options.lengths) if saved is None else saved.network
-            report = _identified(network, saved, options, drives, recordings, step)
+            report = _identified(context, part.read(robot), options, drives, recordings, step)
         step("writing")
         paths = report.save(options.output, command=command_text(context))
-    wrote = ", ".join(str(path) for path in paths)
-    typer.echo(f"{report}\n\n{report.verdict}\n\nwrote {wrote}")
+    typer.echo(f"{report}\n\n{report.verdict}\n\n{wrote(paths)}")
 
 
 def _identified(
-    network: CSLC,
-    saved: Report | None,
+    context: CommandContext,
+    arm: Manipulator,
     options: IdentifyOptions,
     drives: Drives,
     recordings: RecordingOptions,
     step: Callable[[str], None],
 ) -> Report:
-    """The report of a robot; `saved`: that of which a part is fitted again."""
+    saved = None if options.previous is None else load_report(options.previous, arm)
+    if saved is None:
+        network = drives.network(arm, options.lengths)
+    elif typed_options(context) & {"lengths", "friction", "coupled"}:
+        raise ValueError("--lengths, --friction and --coupled: not with --previous, which has them")
+    else:
+        network = saved.network
     settings = None if saved is None else saved.settings
     prior = None if options.prior is None else load_prior(options.prior)
     every = options.likelihood_every
-    read: Callable[[Path], Any] = lambda path: recordings.read(
-        path, network.robot, options.measured
-    )
+    stated = {"torque_lag": options.torque_lag, "loss": options.loss}
+    read = functools.partial(recordings.read, robot=network.robot, measured=options.measured)
     return identify(
         network,
         recordings_of(options.train, read),
@@ -109,7 +253,7 @@ def _identified(
         previous=None if saved is None else saved.fit,
         groups=None if options.reidentify is None else names_in(options.reidentify),
         friction="auto" if drives.friction == "auto" else None,
-        options=without_none(torque_lag=options.torque_lag, loss=options.loss),
+        options={name: value for name, value in stated.items() if value is not None},
         folds=options.folds,
         checks=options.check,
         systematic=options.systematic,
@@ -131,21 +275,9 @@ def _check_cluster_options(context: CommandContext, robot: str, options: Identif
         raise ValueError(f"--{others[0].replace('_', '-')}: not with --dask")
 
 
-def _previous_report(
-    context: CommandContext, robot: Manipulator, path: Path | None
-) -> Report | None:
-    """The identification that `--previous` names, of which a part is to be fitted again."""
-    if path is None:
-        return None
-    if typed_options(context) & {"lengths", "friction", "coupled"}:
-        raise ValueError("--lengths, --friction and --coupled: not with --previous, which has them")
-    return load_report(path, robot)
-
-
 def _identified_system(
     name: str, options: IdentifyOptions, step: Callable[[str], None]
 ) -> "SystemReport":
-    """The report of another system."""
     from ..systems import identify_system, load_system, load_system_recording
 
     if len(options.train) > 1:
@@ -159,3 +291,47 @@ def _identified_system(
         None if options.settings is None else load_settings(options.settings),
         progress=step,
     )
+
+
+def _identified_on_cluster(
+    network: CSLC,
+    options: IdentifyOptions,
+    recordings: RecordingOptions,
+    step: Callable[[str], None],
+) -> str:
+    """Identify from many recordings on a cluster, write the result, and return what is printed."""
+    paths: list[Path] = []
+    for pattern in map(str, options.train):
+        if not (matching := sorted(glob.glob(pattern))):
+            raise ValueError(f"{pattern}: no such file; expected recordings")
+        paths += map(Path, matching)
+    read = functools.partial(recordings.read, robot=network.robot, measured=options.measured)
+    if options.settings is None:
+        step("choosing settings on the first recording")
+        settings = choose_settings(network, read(paths[0])).settings
+    else:
+        settings = load_settings(options.settings)
+    with contextlib.ExitStack() as stack:
+        client = None  # of a cluster that is started here
+        if options.dask != "local":
+            client = stack.enter_context(require("distributed", "cluster").Client(options.dask))
+        arguments: dict[str, Any] = {"client": client, "read": read, "progress": step}
+        if options.fleet:
+            fit = fit_fleet_on_cluster(network, paths, settings, **arguments)
+            file, text = options.output / "fleet.csv", _fleet_text(fit.rows())
+        else:
+            fit = fit_on_cluster(network, paths, settings, **arguments)
+            file = options.output / "fit.json"
+            text = f"{fit}\n\n{settings}\n{len(paths)} recordings"
+    options.output.mkdir(parents=True, exist_ok=True)
+    fit.save(file)
+    return f"{text}\n\n{wrote([file])}"
+
+
+def _fleet_text(rows: list[dict[str, Any]]) -> str:
+    lines = [
+        f"{row['file']}  {row['result']}, rank {row['rank']}, condition {row['condition']:.3g}"
+        for row in rows[:_PRINTED]
+    ]
+    hidden = len(rows) - len(lines)
+    return "\n".join([*lines, *([f"and {hidden} others"] if hidden else [])])

@@ -1,29 +1,28 @@
-"""The command `jaxcslc payload`."""
+"""The commands `jaxcslc payload` and `jaxcslc constants`: of arms that carry a payload."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from ..identification import identify_torque_constants
 from ..payload import identify_payload
-from ..report import check_output_folder, load_report, load_settings
-from ._common import (
+from ..report import load_report, load_settings
+from ._common import CommandContext, check_output, command, progress, wrote
+from ._inputs import (
     ColumnsOption,
-    CommandContext,
+    Drives,
     OutputOption,
     RobotArgument,
+    RobotPart,
     SettingsOption,
-    check_inputs_are_kept,
-    one_line_errors,
-    progress,
     recording_of,
+    recordings_of,
     with_notes,
 )
-from ._robot_options import RobotPart
-from ._spread import spread
 
 
-@spread
+@command
 def payload_command(
     context: CommandContext,
     robot: RobotArgument,
@@ -47,9 +46,8 @@ def payload_command(
     columns: ColumnsOption = None,
 ) -> None:
     """Identify a payload: its mass, centre of gravity and inertia, in the last link's frame."""
-    with one_line_errors(), progress("reading") as step:
-        check_output_folder(output)
-        check_inputs_are_kept(context, [output / "payload.csv", output / "payload.json"])
+    with progress("reading") as step:
+        check_output(context, output, [output / "payload.csv", output / "payload.json"])
         saved = load_report(previous, part.read(robot))
         arm = saved.network.robot
         carrying = recording_of(loaded, arm, columns)
@@ -65,4 +63,39 @@ def payload_command(
         step("writing")
         paths = report.save(output)
     text = with_notes(report, arm, loaded=carrying, unloaded=alone)
-    typer.echo(f"{text}\n\nwrote " + ", ".join(str(path) for path in paths))
+    typer.echo(f"{text}\n\n{wrote(paths)}")
+
+
+@command
+def constants_command(
+    robot: RobotArgument,
+    unloaded: Annotated[
+        Path, typer.Argument(metavar="UNLOADED", help="Recording of the arm without payload.")
+    ],
+    loaded: Annotated[
+        Path, typer.Argument(metavar="LOADED", help="Recording of the arm carrying the payload.")
+    ],
+    mass: Annotated[float, typer.Option(help="Mass of the payload [kg].")],
+    part: RobotPart,
+    drives: Drives,
+    columns: ColumnsOption = None,
+    settings: SettingsOption = None,
+) -> None:
+    """Identify torque constants from motor currents and a payload of known mass.
+
+    The recordings hold currents as torques: constant = 1 in [torque] of the file of --columns.
+    """
+    with progress("reading") as step:
+        manipulator = part.read(robot)
+        paths = (unloaded, loaded)
+        read = recordings_of(paths, lambda path: recording_of(path, manipulator, columns))
+        alone, carrying = read.values()
+        report = identify_torque_constants(
+            drives.network(manipulator, "numeric"),
+            alone,
+            carrying,
+            mass,
+            None if settings is None else load_settings(settings),
+            progress=step,
+        )
+    typer.echo(with_notes(report, manipulator, unloaded=alone, loaded=carrying))

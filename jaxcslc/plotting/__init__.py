@@ -1,16 +1,12 @@
-"""Pictures by matplotlib: one look for all, and measured with predicted torque.
-
-- `_look`: colours, line styles, and empty figures.
-- `_pictures`: torque against time, and PNG files.
-"""
+"""Static pictures by matplotlib, as studies draw them: one look for all. `_look` has it."""
 
 from ._look import (
     COLOURS as COLOURS,
     MEASURED as MEASURED,
     STYLES as STYLES,
     new_figure as new_figure,
+    save_picture as save_picture,
 )
-from ._pictures import save_picture as save_picture
 
 
 __all__ = [

@@ -1,5 +1,6 @@
-"""Look of all pictures: colours, line styles, and figures without a window."""
+"""Look of all pictures: colours, line styles, figures without a window, and their files."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .._environment import require
@@ -29,3 +30,8 @@ def new_figure(width: float, height: float) -> "Figure":
     """
     matplotlib = require("matplotlib.figure", "plot")  # takes 0.3 s, and most users do not draw
     return matplotlib.Figure(figsize=(width, height), layout="constrained")
+
+
+def save_picture(figure: "Figure", path: Path) -> None:
+    """Draw a figure into a PNG file."""
+    figure.savefig(path, dpi=130)

@@ -3,13 +3,49 @@
 results ──► Report (sections) ──► text, identification.json, CSV, index.html
 
 - `_report`, `_section`, `sections/`: a report and its kinds of results.
-- `_load`: reports read back.
-- `_blocks`, `_render`, `_chart` and its kinds: HTML pages.
+- `_output`, `_load`: its files, written and read back; `_comparison`: two reports.
+- `_page`, `_charts`: HTML pages.
+- `_coefficients`, `_errors`, `_excitation`: figures of a fit, as sections show them.
+- `_derivation_report`: what a network has.
 """
 
-from ._arm_chart import ArmChart as ArmChart, Ellipsoid as Ellipsoid
-from ._blocks import (
-    TONES as TONES,
+from .._scratch import all_or_nothing as all_or_nothing
+from ._charts import (
+    AbstractChart as AbstractChart,
+    ArmChart as ArmChart,
+    Curve as Curve,
+    Ellipsoid as Ellipsoid,
+    Film as Film,
+    MatrixChart as MatrixChart,
+    Panel as Panel,
+    PanelChart as PanelChart,
+)
+from ._coefficients import (
+    Verdict as Verdict,
+    coefficient_rows as coefficient_rows,
+    coefficient_text as coefficient_text,
+    verdicts as verdicts,
+)
+from ._comparison import ReportComparison as ReportComparison, compare_reports as compare_reports
+from ._derivation_report import DerivationReport as DerivationReport
+from ._errors import (
+    ErrorTable as ErrorTable,
+    compare as compare,
+    condition_warning as condition_warning,
+    fit_warnings as fit_warnings,
+    predicted_torque as predicted_torque,
+    torque_errors as torque_errors,
+)
+from ._excitation import Excitation as Excitation, degree_of_excitation as degree_of_excitation
+from ._load import (
+    load_settings as load_settings,
+)
+from ._output import (
+    replaced_files as replaced_files,
+    write_csv as write_csv,
+    write_json as write_json,
+)
+from ._page import (
     AbstractBlock as AbstractBlock,
     Code as Code,
     Column as Column,
@@ -25,47 +61,15 @@ from ._blocks import (
     Table as Table,
     Tone as Tone,
     Value as Value,
+    render as render,
 )
-from ._chart import AbstractChart as AbstractChart
-from ._chart_curves import (
-    Curve as Curve,
-    envelope as envelope,
-    intervals as intervals,
-    plain as plain,
-)
-from ._coefficient_table import (
-    coefficient_rows as coefficient_rows,
-    coefficient_text as coefficient_text,
-)
-from ._comparison import ReportComparison as ReportComparison, compare_reports as compare_reports
-from ._derivation_report import DerivationReport as DerivationReport
-from ._errors import (
-    ErrorTable as ErrorTable,
-    compare as compare,
-    predicted_torque as predicted_torque,
-    torque_errors as torque_errors,
-)
-from ._excitation import Excitation as Excitation, degree_of_excitation as degree_of_excitation
-from ._film import Film as Film
-from ._load import (
+from ._report import (
+    AbstractReport as AbstractReport,
+    Report as Report,
     load_report as load_report,
-    load_settings as load_settings,
     read_report as read_report,
 )
-from ._matrix_chart import MatrixChart as MatrixChart
-from ._output import (
-    all_or_nothing as all_or_nothing,
-    check_output_folder as check_output_folder,
-    replaced_files as replaced_files,
-    write_csv as write_csv,
-    write_json as write_json,
-)
-from ._panel_chart import Panel as Panel, PanelChart as PanelChart
-from ._render import render as render
-from ._report import AbstractReport as AbstractReport, Report as Report
 from ._section import AbstractSection as AbstractSection, AnyReport as AnyReport
-from ._verdicts import Verdict as Verdict, verdicts as verdicts
-from ._warnings import condition_warning as condition_warning, fit_warnings as fit_warnings
 from .sections import (
     SECTIONS as SECTIONS,
     CoefficientSection as CoefficientSection,
@@ -83,7 +87,6 @@ from .sections import (
 
 
 __all__ = [
-    "TONES",
     "AbstractBlock",
     "AbstractChart",
     "ArmChart",
@@ -118,11 +121,8 @@ __all__ = [
     "compare",
     "compare_reports",
     "degree_of_excitation",
-    "envelope",
-    "intervals",
     "load_report",
     "load_settings",
-    "plain",
     "predicted_torque",
     "render",
     "torque_errors",

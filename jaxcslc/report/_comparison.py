@@ -10,10 +10,8 @@ import scipy
 
 from .._scratch import unfinished
 from .._text_table import text_table
-from ._blocks import Column, Message, Page, Section, Table, Tone
-from ._load import read_report
-from ._render import render
-from ._report import Report
+from ._page import Column, Message, Page, Section, Table, Tone, render
+from ._report import Report, read_report
 
 
 # Standard errors beyond which a difference is listed as one.
@@ -93,7 +91,7 @@ class ReportComparison:
         - `OSError`: the file cannot be written.
         """
         with unfinished(Path(path)) as file:
-            file.write_text(render(self.page(), interactive=False), encoding="utf-8")
+            file.write_text(render(self.page()), encoding="utf-8")
 
     def __str__(self) -> str:
         _, headline, messages = self.verdict
@@ -285,8 +283,9 @@ def _compared_sections(comparison: ReportComparison) -> Iterator[Section]:
     """Yield how sections differ, in the order of the page; what is said of the data stands last."""
     kinds = sorted(Report.kinds, key=lambda kind: (kind.position < 10, kind.position))
     for kind in kinds:
-        pair = (comparison.first.section(kind.name), comparison.second.section(kind.name))
-        if (section := kind.compared(pair)) is not None:
+        sections = (report.section(kind.name) for report in (comparison.first, comparison.second))
+        data = ({} if section is None else section.data for section in sections)
+        if (section := kind.compared(*data)) is not None:
             yield section
 
 

@@ -5,11 +5,17 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
+from .._scratch import all_or_nothing
 from ..derivation import StructuralIdentifiability, structural_identifiability
 from ..network import CSLC
-from ._coefficient_table import coefficient_rows, coefficient_text
-from ._model_description import expression_legend, joint_lines, legend_text
-from ._output import all_or_nothing, write_csv, write_json
+from ._coefficients import (
+    coefficient_rows,
+    coefficient_text,
+    expression_legend,
+    joint_lines,
+    legend_text,
+)
+from ._output import write_csv, write_json
 
 
 # Counting the tables of 12 right-angled joints takes ten times as long as all the rest.

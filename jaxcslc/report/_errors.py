@@ -1,7 +1,7 @@
-"""Torque errors by recording and joint."""
+"""Torque errors by recording and joint, and warnings of a fit."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -12,9 +12,15 @@ from jaxtyping import Array, Bool, Float
 from .._environment import array_namespace, require
 from .._text_table import text_table
 from ..friction import has_states
-from ..least_squares import friction_averaged_at_rest, torque_of, traced
+from ..least_squares import (
+    MEANINGLESS_CONDITION,
+    Identification,
+    friction_averaged_at_rest,
+    torque_of,
+    traced,
+)
 from ..network import CSLC, AbstractLinearNetwork
-from ..recordings import Patterns
+from ..recordings import Patterns, Recording
 
 
 Numbers = Array | np.ndarray
@@ -254,3 +260,49 @@ def torque_errors(
     """Measured minus predicted torque of every pair (samples, n) [N m]."""
     predicted = predicted_torque(network, patterns, k)
     return array_namespace(predicted).asarray(patterns.torque) - predicted
+
+
+def fit_warnings(
+    network: AbstractLinearNetwork, recording: Recording, fit: Identification, errors: ErrorTable
+) -> Iterator[str]:
+    """Warnings about a fit, its training recording and how it explains the recorded torque.
+
+    **Arguments**
+
+    - `network`: n joints.
+    - `recording`: of n joints, that was fitted.
+    - `fit`: to that recording.
+    - `errors`: of the fit, on that recording.
+
+    **Returns** one sentence for a meaningless condition number, and one for each joint that does
+    not move, whose torque is constant, or of whose torque's variance the fit explains less than
+    half, as with a wrong unit.
+    """
+    yield from condition_warning(fit)
+    names = network.output_names
+    for joint in np.flatnonzero(np.ptp(recording.position, axis=0) == 0):
+        yield (
+            f"{names[joint]} does not move: coefficients that only its motion shows are not"
+            " determined"
+        )
+    deviation = np.std(recording.torque, axis=0)
+    rows = zip(names, np.asarray(errors.rms[0]), deviation, network.output_units, strict=True)
+    for name, rms, size, unit in rows:
+        if size == 0:
+            yield f"{name}: the measured torque is constant"
+        elif rms > np.sqrt(0.5) * size:
+            yield (
+                f"{name}: training RMS {rms:.3g} {unit}, torque standard deviation"
+                f" {size:.3g} {unit}: the model explains less than half of the variance; check"
+                " units (rad, N m) and the signs of positions and torques"
+            )
+
+
+def condition_warning(fit: Identification) -> Iterator[str]:
+    """A sentence about a condition number that makes every coefficient meaningless."""
+    if not bool(fit.meaningful):
+        yield (
+            f"condition number {float(fit.condition):.2g} exceeds {MEANINGLESS_CONDITION:.0g}: no"
+            " coefficient is well determined, whatever its standard error; use a motion that"
+            " excites more, or fewer terms"
+        )

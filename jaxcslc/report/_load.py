@@ -1,82 +1,30 @@
-"""Reading of what reports wrote: a report, whole, or its settings."""
+"""Reading of what reports wrote: documents, settings, and the network of a saved robot."""
 
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
+from .._plain_data import record_from
 from ..least_squares import Identification, Settings, settings_from
-from ..manipulator import Manipulator
-from ._report import AbstractReport, Report
-from ._saved_network import saved_network
+from ..manipulator import Manipulator, RobotError
+from ..network import CSLC, derive
 
-
-R = TypeVar("R", bound=AbstractReport[Any])
 
 # SI units. No robot comes near; and squares, in covariances, are far from overflow.
 _LARGEST = 1e12
 
 
-def load_report(path: str | Path, robot: Manipulator | None = None) -> Report:
-    """Return the report that `Report.save` wrote, or what `Identification.save` did.
-
-    Its sections, coefficients and their covariance are those of the report that was saved, and so
-    are its text and its page. Its `patterns` are empty: of the motion it has some states.
-
-    **Arguments**
-
-    - `path`: of the report's folder, or of its `identification.json`.
-    - `robot`: that was identified; the one that the file describes if None. Friction terms and
-      couplings are taken from the file, unless `robot` has friction terms of single joints or
-      couplings of its own.
-
-    **Raises**
-
-    - `ValueError`: the file is no identification of this robot; the message names file and entry.
-
-    >>> import tempfile
-    >>> import numpy as np, jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.arange(1000)[:, None] * 0.01
-    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
-    >>> recording = jc.Recording(t[:, 0], q, torque)
-    >>> report = jc.identify(network, recording, settings=jc.Settings())
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     _ = report.save(folder, pictures=False)
-    ...     saved = jc.load_report(folder)
-    >>> bool(np.all(saved.k == report.k)), saved.settings == report.settings
-    (True, True)
-    >>> str(saved) == str(report), saved.page(charts=False) == report.page(charts=False)
-    (True, True)
-    """
-    report = read_report(path, Report)
-    file = identification_file(path)
-    network = saved_network(report.document or {}, report.fit, file, robot)
-    object.__setattr__(report, "network", network)
-    for section in report.sections:
-        for name in section.results:
-            try:
-                section.result(name, report)
-            except AttributeError:  # files do not hold it
-                continue
-            except ValueError as error:
-                raise ValueError(f"{file}: {error}") from None
-            except (KeyError, TypeError) as error:
-                raise ValueError(f"{file}: {name}: {error!r}") from None
-    return report
-
-
-def read_report(path: str | Path, kind: type[R]) -> R:
-    """Return a saved report whose network is derived when it is asked for.
+def read_files(
+    path: str | Path,
+) -> tuple[Settings | None, Identification, dict[str, Any]]:
+    """Return settings, fit and all entries of a report's files.
 
     **Arguments**
 
     - `path`: of the report's folder, or of its `identification.json`.
-    - `kind`: of the report.
 
     **Raises**
 
@@ -89,7 +37,7 @@ def read_report(path: str | Path, kind: type[R]) -> R:
     charts = file.parent / "charts.json"
     if file.name == "identification.json" and charts.exists():
         document = {**_document(charts, "report's drawings"), **document}
-    return kind(None, settings, fit, {}, document=document)
+    return settings, fit, document
 
 
 def load_settings(path: str | Path) -> Settings:
@@ -156,3 +104,107 @@ def _fit(document: Mapping[str, Any], path: Path) -> Identification:
         if np.any(np.abs(np.asarray(getattr(fit, name))) > _LARGEST**2):
             raise ValueError(f"{path}: {name}: expected variances below {_LARGEST**2:g}")
     return fit
+
+
+def saved_network(
+    document: Mapping[str, Any], fit: Identification, where: Path | str, robot: Manipulator | None
+) -> CSLC:
+    """Return the network of a report's `identification.json`.
+
+    **Arguments**
+
+    - `document`: what the file holds.
+    - `fit`: in it.
+    - `where`: it was read.
+    - `robot`: that was identified; that of the file if None.
+
+    **Raises**
+
+    - `ValueError`: the file holds no robot, or is of another than `robot`.
+    """
+    robot = _robot(document, where) if robot is None else _with_friction(robot, document, where)
+    network = derive(robot, lengths=_lengths(document, where))
+    if network.static_slopes is not None and "static_slopes" in document:
+        try:
+            network = network.with_static_slopes(np.asarray(document["static_slopes"], float))
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{where}: static_slopes: {error}") from None
+    if difference := _difference(network, document, fit.names):
+        raise ValueError(f"{where}: {difference}; expected an identification of this robot")
+    if network.load_terms:  # it follows the torque of the identified bodies
+        network = network.with_load(np.asarray(fit.k))
+    return network
+
+
+def _robot(document: Mapping[str, Any], where: Path | str) -> Manipulator:
+    if "manipulator" not in document:
+        raise ValueError(f"{where}: has no robot; expected a folder that `Report.save` wrote")
+    try:
+        return record_from(Manipulator, document["manipulator"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{where}: manipulator: {error}") from None
+
+
+def _lengths(document: Mapping[str, Any], where: Path | str) -> Any:
+    lengths = document.get("lengths", "auto")
+    names = lengths if isinstance(lengths, list) else [lengths]
+    if not all(isinstance(name, str) for name in names):
+        raise ValueError(f"{where}: lengths: expected a text or a list of names, got {lengths!r}")
+    return lengths
+
+
+def _with_friction(
+    robot: Manipulator, document: Mapping[str, Any], where: Path | str
+) -> Manipulator:
+    """Return the robot with the friction and couplings of the file, where it has none of its own.
+
+    Friction terms of single joints and couplings of the robot are for `_difference` to compare.
+    """
+    terms, pairs = document.get("friction"), document.get("coupled")
+    for name, value in (("friction", terms), ("coupled", pairs)):
+        if value is not None and not isinstance(value, list):
+            raise ValueError(f"{where}: {name}: expected a list")
+    if robot.joint_friction is not None:
+        return robot
+    joint_friction: Any = document.get("joint_friction", [])
+    if not isinstance(joint_friction, list):
+        raise ValueError(f"{where}: joint_friction: expected a list")
+    try:
+        if terms is not None and tuple(terms) != robot.friction:
+            robot = robot.with_friction(*terms)
+        for joint, terms_of_joint in enumerate(joint_friction, 1):
+            if tuple(terms_of_joint) != robot.friction:
+                robot = robot.with_friction(*terms_of_joint, joint=joint)
+        if pairs and not robot.coupled:
+            robot = robot.with_coupling(*pairs)
+    except (RobotError, TypeError) as error:
+        raise ValueError(f"{where}: {error}") from None
+    return robot
+
+
+def _difference(network: CSLC, document: Mapping[str, Any], names: tuple[str, ...]) -> str | None:
+    """Return how the file's robot differs from the network's; None if no difference shows."""
+    robot = network.robot.name
+    if names != network.names:
+        return f"has coefficients {_summary(names)}; {robot} has {_summary(network.names)}"
+    expressions = document.get("expressions")
+    if expressions is None:
+        name = document.get("robot", robot)
+        if name != robot:  # nothing else tells robots of one structure apart
+            return f"is of robot {name!r}, not {robot!r}"
+    elif not isinstance(expressions, list) or len(expressions) != len(names):
+        return f"expressions: is no list of {len(names)}"
+    else:
+        for coefficient, expression in zip(network.coefficients, expressions, strict=True):
+            if expression != coefficient.expression:
+                return (
+                    f"{coefficient.name} is {expression}; of {robot} it is {coefficient.expression}"
+                )
+    coupled = [list(pair) for pair in network.robot.coupled]
+    if document.get("coupled", coupled) != coupled:
+        return f"has coupled joints {document['coupled']}; {robot} has {coupled}"
+    return None
+
+
+def _summary(names: tuple[str, ...]) -> str:
+    return f"{names[0]} to {names[-1]} ({len(names)})" if names else "none"

@@ -1,19 +1,17 @@
 """Files of reports: a folder of them, all or none; CSV and JSON."""
 
-import contextlib
 import csv
 import json
 import math
-import os
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Array
 
-from .._scratch import scratch_folder
-from ._render import render
+from .._scratch import all_or_nothing
+from ._page import render
 
 
 if TYPE_CHECKING:
@@ -22,35 +20,6 @@ if TYPE_CHECKING:
 
 _RECORDINGS = ("training", "validation")
 _FILES = ("index.html", "coefficients.csv", "identification.json")
-
-
-def check_output_folder(folder: Path) -> None:
-    """**Raises** `ValueError` if the results cannot go there: a file, or no right to write."""
-    for path in (folder, *folder.absolute().parents):
-        if path.exists():
-            if not path.is_dir():
-                raise ValueError(f"{path}: expected a folder for the results, this is a file")
-            if not os.access(path, os.W_OK | os.X_OK):
-                raise ValueError(f"{path}: expected a folder that can be written to")
-            return
-
-
-@contextlib.contextmanager
-def all_or_nothing(folder: Path) -> Generator[Path]:
-    """A scratch folder whose files move into `folder` when all of them are written.
-
-    If writing fails, the files of `folder` stay as they were. Files of other names are not touched.
-    What a process that was killed left behind is removed.
-
-    **Raises** as `check_output_folder`.
-    """
-    check_output_folder(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with scratch_folder(folder.parent, folder.name) as scratch:
-        yield scratch
-        folder.mkdir(exist_ok=True)
-        for path in sorted(scratch.iterdir()):
-            os.replace(path, folder / path.name)
 
 
 def write_report(

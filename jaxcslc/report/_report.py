@@ -1,7 +1,7 @@
 """The report of an identification: a fit, and a list of sections that say all else.
 
 What a report shows is in its sections (`_section.py`, `sections/`); here are the coefficients,
-the order of sections, and how reports are written. `_load.py` reads them back.
+the order of sections, and how reports are written. `load_report` reads them back.
 """
 
 import abc
@@ -20,21 +20,21 @@ from jaxtyping import Array, Float
 from .._environment import require
 from ..friction import along_motion
 from ..least_squares import Identification, Settings
+from ..manipulator import Manipulator
 from ..network import CSLC, AbstractLinearNetwork
 from ..recordings import Patterns
 from ..uncertainty import standard_uncertainty
-from ._blocks import Message, Page, Section, Tone
-from ._coefficient_table import coefficient_rows
+from ._coefficients import ModelDescription, coefficient_rows
 from ._errors import predicted_torque
-from ._model_description import ModelDescription
+from ._load import identification_file, read_files, saved_network
 from ._output import write_report
-from ._render import render
-from ._saved_network import saved_network
-from ._section import AbstractSection, counted
+from ._page import Message, Page, Section, Tone, render
+from ._section import IDENTIFICATION, AbstractSection, counted
 from .sections import SECTIONS
 
 
 N = TypeVar("N", bound=AbstractLinearNetwork)
+R = TypeVar("R", bound="AbstractReport[Any]")
 
 _HEADLINES: dict[Tone, str] = {
     "good": "The identified model can be used.",
@@ -231,7 +231,8 @@ class AbstractReport(abc.ABC, Generic[N]):
         """
         tone, messages = self._judgement
         parts: dict[str, Section] = {}
-        for section in sorted(self.sections, key=lambda section: section.position):
+        shown = [section for section in self.sections if charts or section.file == IDENTIFICATION]
+        for section in sorted(shown, key=lambda section: section.position):
             for part in section.blocks(self, charts):
                 before = parts.get(part.title, Section(part.title, part.lead, ()))
                 blocks = (*before.blocks, *part.blocks)
@@ -270,9 +271,9 @@ class AbstractReport(abc.ABC, Generic[N]):
 
         - `charts`: whether to return what only drawings need.
         """
-        files = {"identification.json": {**self.model.document(), **self.fit.document()}}
+        files = {IDENTIFICATION: {**self.model.document(), **self.fit.document()}}
         for section in self.sections:
-            if charts or section.file == "identification.json":
+            if charts or section.file == IDENTIFICATION:
                 files.setdefault(section.file, {}).update(section.data)
         return files
 
@@ -287,8 +288,7 @@ class AbstractReport(abc.ABC, Generic[N]):
         that an earlier report left and this one does not have are removed. A report that was
         loaded has no `torque_NAME.csv` to write.
 
-        The page's pictures can be zoomed with the extra `report`; without it they are static, and
-        without the extra `plot` too there are none.
+        The page's pictures need the extra `report`.
 
         **Arguments**
 
@@ -328,7 +328,7 @@ class AbstractReport(abc.ABC, Generic[N]):
 
     def _repr_html_(self) -> str:
         """Return the page without drawings, for notebooks."""
-        text = html.escape(render(self.page(charts=False), interactive=False))
+        text = html.escape(render(self.page(charts=False)))
         return f'<iframe srcdoc="{text}" style="width: 100%; height: 40em; border: 0"></iframe>'
 
 
@@ -406,3 +406,70 @@ class Report(AbstractReport[CSLC]):
     def derived_network(self) -> CSLC:
         """Return the network of the robot that the files describe."""
         return saved_network(self.document or {}, self.fit, "identification.json", None)
+
+
+def load_report(path: str | Path, robot: Manipulator | None = None) -> Report:
+    """Return the report that `Report.save` wrote, or what `Identification.save` did.
+
+    Its sections, coefficients and their covariance are those of the report that was saved, and so
+    are its text and its page. Its `patterns` are empty: of the motion it has some states.
+
+    **Arguments**
+
+    - `path`: of the report's folder, or of its `identification.json`.
+    - `robot`: that was identified; the one that the file describes if None. Friction terms and
+      couplings are taken from the file, unless `robot` has friction terms of single joints or
+      couplings of its own.
+
+    **Raises**
+
+    - `ValueError`: the file is no identification of this robot; the message names file and entry.
+
+    >>> import tempfile
+    >>> import numpy as np, jaxcslc as jc
+    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
+    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> t = np.arange(1000)[:, None] * 0.01
+    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
+    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
+    >>> recording = jc.Recording(t[:, 0], q, torque)
+    >>> report = jc.identify(network, recording, settings=jc.Settings())
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = report.save(folder, pictures=False)
+    ...     saved = jc.load_report(folder)
+    >>> bool(np.all(saved.k == report.k)), saved.settings == report.settings
+    (True, True)
+    >>> str(saved) == str(report), saved.page(charts=False) == report.page(charts=False)
+    (True, True)
+    """
+    report = read_report(path, Report)
+    file = identification_file(path)
+    network = saved_network(report.document or {}, report.fit, file, robot)
+    object.__setattr__(report, "network", network)
+    for section in report.sections:
+        for name in section.results:
+            try:
+                section.result(name, report)
+            except AttributeError:  # files do not hold it
+                continue
+            except ValueError as error:
+                raise ValueError(f"{file}: {error}") from None
+            except (KeyError, TypeError) as error:
+                raise ValueError(f"{file}: {name}: {error!r}") from None
+    return report
+
+
+def read_report(path: str | Path, kind: type[R]) -> R:
+    """Return a saved report whose network is derived when it is asked for.
+
+    **Arguments**
+
+    - `path`: of the report's folder, or of its `identification.json`.
+    - `kind`: of the report.
+
+    **Raises**
+
+    - `ValueError`: there is no such file, or it holds something else.
+    """
+    settings, fit, document = read_files(path)
+    return kind(None, settings, fit, {}, document=document)

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from .._plain_data import plain
-from ._blocks import Message, Section
+from ._page import Message, Section
 
 
 if TYPE_CHECKING:
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     AnyReport = AbstractReport[Any]
 else:
     AnyReport = Any
+
+
+IDENTIFICATION = "identification.json"
 
 
 class AbstractSection(abc.ABC):
@@ -44,7 +47,7 @@ class AbstractSection(abc.ABC):
     name: ClassVar[str]
     results: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     entries: ClassVar[Mapping[str, type]] = MappingProxyType({})
-    file: ClassVar[str] = "identification.json"
+    file: ClassVar[str] = IDENTIFICATION
     always: ClassVar[bool] = False
     position: ClassVar[int] = 25
 
@@ -110,7 +113,7 @@ class AbstractSection(abc.ABC):
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         """Yield parts of the page; those of one heading become one.
 
-        - `charts`: whether the page has drawings.
+        - `charts`: whether the page has drawings; sections of other files are asked only if so.
         """
         del report, charts
         yield from ()
@@ -121,11 +124,9 @@ class AbstractSection(abc.ABC):
         return {}
 
     @classmethod
-    def compared(
-        cls, sections: "tuple[AbstractSection | None, AbstractSection | None]"
-    ) -> Section | None:
-        """Return how two reports differ in the section, as a part of a page."""
-        del sections
+    def compared(cls, first: Mapping[str, Any], second: Mapping[str, Any]) -> Section | None:
+        """Return how two reports differ in the section's data, as a part of a page."""
+        del first, second
         return None
 
 

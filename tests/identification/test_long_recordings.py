@@ -8,7 +8,7 @@ import pytest
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.cli._progress_lines import PASSED, progress_lines
+from jaxcslc.cli._common import PASSED, progress_lines
 from jaxcslc.least_squares import KeptRows, _compiled, equations_of, rows_of, torque_of
 from jaxcslc.selection import section_of
 from tests import arms

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxcslc.report import check_output_folder
-from jaxcslc.report._output import all_or_nothing
+from jaxcslc._scratch import all_or_nothing, check_output_folder
 
 
 def test_files_arrive_together(tmp_path: Path) -> None:

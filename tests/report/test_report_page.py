@@ -14,7 +14,7 @@ import jaxcslc as jc
 from jaxcslc.instruments import link_poses
 from jaxcslc.manipulator import LinkParameters
 from jaxcslc.report import compare_reports, fit_quality
-from jaxcslc.report.sections._arm import ellipsoid_of
+from jaxcslc.report.sections._bodies import solid_ellipsoid
 
 
 NAME, FIRST, SECOND = "<b>& arm", "<i>shoulder</i>", "elbow & $1"
@@ -188,7 +188,7 @@ def test_bodies_are_drawn_where_they_are(reports: tuple[jc.Report, jc.Report]) -
     axes = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
     half = np.array([0.3, 0.2, 0.1])
     tensor = axes @ np.diag((half @ half - half**2) * 2.0 / 5.0) @ axes.T
-    centre, columns = ellipsoid_of(LinkParameters(2.0, np.array([1.0, 2.0, 3.0]), tensor))
+    centre, columns = solid_ellipsoid(LinkParameters(2.0, np.array([1.0, 2.0, 3.0]), tensor))
     np.testing.assert_allclose(columns @ columns.T, axes @ np.diag(half**2) @ axes.T, atol=1e-12)
     np.testing.assert_array_equal(centre, [1.0, 2.0, 3.0])
     report = reports[0]

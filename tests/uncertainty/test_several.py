@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.cli._common import recordings_of
+from jaxcslc.cli._inputs import recordings_of
 from jaxcslc.least_squares import LeastSquares
 from jaxcslc.report import Table
 from jaxcslc.uncertainty import fit_recordings

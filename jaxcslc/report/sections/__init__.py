@@ -8,13 +8,12 @@ from ._errors import (
     ErrorSection as ErrorSection,
     HeldOutSection as HeldOutSection,
     QualitySection as QualitySection,
+    fit_quality as fit_quality,
 )
-from ._fit_quality import fit_quality as fit_quality
+from ._method import RepeatSection as RepeatSection, SettingsSection as SettingsSection
 from ._recordings import (
     CurveSection as CurveSection,
     RecordingSection as RecordingSection,
     WarningSection as WarningSection,
 )
 from ._registry import SECTIONS as SECTIONS
-from ._repeat import RepeatSection as RepeatSection
-from ._settings import SettingsSection as SettingsSection

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 
 from jaxcslc._environment import as_jax
-from jaxcslc.friction import SlopeFit
 from jaxcslc.least_squares import Identification
 from jaxcslc.uncertainty import SystematicError
 
-from .._blocks import (
+from .._charts import MatrixChart
+from .._coefficients import coefficient_text, legend_text
+from .._excitation import Excitation
+from .._page import (
     AbstractBlock,
     Column,
     Grid,
@@ -23,10 +25,6 @@ from .._blocks import (
     Table,
     Tone,
 )
-from .._coefficient_table import coefficient_text
-from .._excitation import Excitation
-from .._matrix_chart import MatrixChart
-from .._model_description import legend_text
 from .._section import AbstractSection, AnyReport, counted, listed
 
 
@@ -117,37 +115,6 @@ class CoefficientSection(AbstractSection):
                 Table(tuple(_COLUMNS.values()), rows, name="coefficients-table"),
             ],
         )
-
-
-class SlopeSection(AbstractSection):
-    """Fitted slopes of static friction."""
-
-    name = "slopes"
-    results = MappingProxyType({"slopes": None})
-    entries = MappingProxyType({"slopes": list})
-
-    @classmethod
-    def document_of(cls, result: SlopeFit, report: AnyReport) -> Mapping[str, Any]:
-        columns = (report.model.output_names, result.slopes, result.slope_error)
-        kinds = result.network.friction_per_joint
-        return {
-            "slopes": [
-                {"joint": name, "slope": float(slope), "error": float(error)}
-                for name, slope, error, terms in zip(*columns, kinds, strict=True)
-                if "static" in terms
-            ]
-        }
-
-    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
-        joints = ", ".join(
-            f"{entry['joint']} {entry['slope']:.4g} ± {float(_open(entry['error'])):.2g}"
-            for entry in self.data["slopes"]
-        )
-        if joints:
-            yield [
-                f"slopes of static friction [s/rad or s/m]: {joints};"
-                " the intervals above allow for their errors"
-            ]
 
 
 class SystematicSection(AbstractSection):

@@ -5,16 +5,21 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxcslc.checks import DataCheck, Finding
+from jaxcslc.recordings import Patterns
+from jaxcslc.uncertainty import SeveralFit, several_text
 
-from .._blocks import AbstractBlock, Column, Grid, Message, Messages, Section, Table
-from .._chart_curves import Curve
-from .._panel_chart import Panel, PanelChart
+from .._charts import Curve, Panel, PanelChart, envelope, intervals, rounded
+from .._page import AbstractBlock, Column, Message, Messages, Section, Table
 from .._section import AbstractSection, AnyReport, axis_title, counted
-from ._thinned import friction_points, torque_curves
 
 
+# Points of all curves of a page, which keep it below 8 MB; of a curve.
+_ALL_POINTS, _MOST_POINTS, _LEAST_POINTS = 150_000, 5000, 200
+# A gap of more sampling intervals breaks curves.
+_GAP = 10
 _DATA_CHECK = (
     "What the recordings hold after smoothing, and what looks wrong with them or the fit."
     " Samples near standstill and possibly within backlash are masked: they are not fitted."
@@ -45,36 +50,34 @@ class WarningSection(AbstractSection):
             return tuple(self.data.get(name, ()))
         return DataCheck((), tuple(Finding(**entry) for entry in self.data.get("findings", ())))
 
-    def _sentences(self) -> list[str]:
-        findings = (str(Finding(**entry)) for entry in self.data.get("findings", ()))
-        return [*findings, *self.data.get("warnings", ())]
+    def _findings(self) -> list[str]:
+        return [str(Finding(**entry)) for entry in self.data.get("findings", ())]
 
     def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
-        sentences, found = self._sentences(), len(self.data.get("findings", ()))
-        yield [f"warning: {sentence}" for sentence in sentences[:found]]
-        yield [f"warning: {sentence}" for sentence in sentences[found:]]
+        for sentences in (self._findings(), self.data.get("warnings", ())):
+            yield [f"warning: {sentence}" for sentence in sentences]
         yield [f"note: {note}" for section in report.sections for note in section.notes()]
 
     def notes(self) -> Sequence[str]:
         return self.data.get("notes", ())
 
     def messages(self, report: AnyReport) -> Iterator[Message]:
-        if count := len(self._sentences()):
+        if count := len([*self._findings(), *self.data.get("warnings", ())]):
             yield Message(f"{counted(count, 'warning')} about data and fit.", "caution")
 
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
-        sentences = tuple(Message(sentence) for sentence in self._sentences())
-        blocks: list[AbstractBlock] = [Messages(sentences, empty="Nothing looks wrong.")]
+        messages = tuple(map(Message, [*self._findings(), *self.data.get("warnings", ())]))
+        blocks: list[AbstractBlock] = [Messages(messages, empty="Nothing looks wrong.")]
         if notes := self.data.get("notes"):
             blocks.append(Messages(tuple(Message(note, "plain") for note in notes)))
         yield Section("Data check", _DATA_CHECK, blocks)
 
     @classmethod
-    def compared(cls, sections: tuple[AbstractSection | None, AbstractSection | None]) -> Section:
+    def compared(cls, first: Mapping[str, Any], second: Mapping[str, Any]) -> Section:
         messages = tuple(
             Message(f"{which}: {text}")
-            for which, section in zip(("first", "second"), sections, strict=True)
-            for text in ([] if section is None else section.data.get("warnings", []))
+            for which, data in (("first", first), ("second", second))
+            for text in data.get("warnings", ())
         )
         return Section("Warnings", "", [Messages(messages, empty="Neither has any.")])
 
@@ -92,7 +95,11 @@ class RecordingSection(AbstractSection):
 
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         model = report.model
-        motion = dict.fromkeys("m" if unit == "N" else "rad" for unit in model.output_units)
+        units = dict.fromkeys("m" if unit == "N" else "rad" for unit in model.output_units)
+        position, fitted = (
+            " or ".join(units),
+            Column("fitted [%]", "samples that masks leave in", 3),
+        )
         blocks: list[AbstractBlock] = []
         for name, recording in self.data["recorded"].items():
             rate = "" if not recording["interval"] else f", {1 / recording['interval']:.4g} Hz"
@@ -100,25 +107,56 @@ class RecordingSection(AbstractSection):
                 f"{name} recording: {recording['samples']} samples,"
                 f" {recording['duration']:.4g} s{rate}"
             )
-            columns = [
-                Column(model.output_kind, numeric=False),
-                Column("fitted [%]", "samples that masks leave in", digits=3),
-            ]
-            values: list[Sequence[Any]] = [
-                model.output_names,
-                [100 * share for share in recording["share_judged"]],
+            columns: list[tuple[Column, Sequence[Any]]] = [
+                (Column(model.output_kind, numeric=False), model.output_names),
+                (fitted, [100 * share for share in recording["share_judged"]]),
             ]
             if recording["lowest"] is not None:
                 columns += [
-                    Column(f"lowest position [{' or '.join(motion)}]", decimals=3),
-                    Column("highest", decimals=3),
-                    Column("top speed [per s]", decimals=3),
+                    (Column(f"lowest position [{position}]", decimals=3), recording["lowest"]),
+                    (Column("highest", decimals=3), recording["highest"]),
+                    (Column("top speed [per s]", decimals=3), recording["top_speed"]),
                 ]
-                values += [recording["lowest"], recording["highest"], recording["top_speed"]]
-            columns += [Column(f"RMS {model.output_quantity}"), Column("unit", numeric=False)]
-            values += [recording["torque_rms"], model.output_units]
-            blocks.append(Table.of_columns(columns, values, caption, f"data-{name}"))
+            columns += [
+                (Column(f"RMS {model.output_quantity}"), recording["torque_rms"]),
+                (Column("unit", numeric=False), model.output_units),
+            ]
+            blocks.append(Table.from_columns(columns, caption, f"data-{name}"))
         yield Section("Data check", _DATA_CHECK, blocks)
+
+
+class SeveralSection(AbstractSection):
+    """Noise and offsets of each recording, and coefficients in which it differs."""
+
+    name = "several"
+    results = MappingProxyType({"several": None})
+    entries = MappingProxyType({"recordings": dict})
+    position = 2
+
+    @classmethod
+    def document_of(cls, result: SeveralFit, report: AnyReport) -> Mapping[str, Any]:
+        return {"recordings": result.document()}
+
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
+        yield [several_text(self.data["recordings"])]
+
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
+        model = report.model
+        columns = [
+            Column("recording", numeric=False),
+            Column("samples"),
+            Column("differs in", "coefficients, beyond chance", numeric=False, wide=True),
+            *(
+                Column(f"RMS residual, {axis_title(joint, unit)}", digits=3)
+                for joint, unit in zip(model.output_names, model.output_units, strict=True)
+            ),
+        ]
+        rows = tuple(
+            (name, entry["samples"], ", ".join(entry["differing"]) or "none", *entry["noise"])
+            for name, entry in self.data["recordings"].items()
+        )
+        caption = "Training recordings, each against all others together"
+        yield Section("Data check", "", [Table(tuple(columns), rows, caption, "several")])
 
 
 class CurveSection(AbstractSection):
@@ -134,14 +172,12 @@ class CurveSection(AbstractSection):
         count = len(report.patterns)
         return {
             "curves": {
-                name: torque_curves(patterns, report.predicted(name), count)
+                name: _torque_curves(patterns, report.predicted(name), count)
                 for name, patterns in report.patterns.items()
             }
         }
 
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
-        if not charts:
-            return
         model = report.model
         blocks: list[AbstractBlock] = []
         for name, recording in self.data["curves"].items():
@@ -169,44 +205,6 @@ class CurveSection(AbstractSection):
         )
 
 
-class FrictionSection(AbstractSection):
-    """Each joint's friction over its velocity, training recording, thinned for drawing."""
-
-    name = "friction_points"
-    entries = MappingProxyType({"friction_points": list})
-    file = "charts.json"
-    position = 22
-
-    @classmethod
-    def of(cls, report: AnyReport) -> AbstractSection | None:
-        return super().of(report) if report.network.layout.friction.size else None
-
-    @classmethod
-    def document_of(cls, result: None, report: AnyReport) -> Mapping[str, Any]:
-        network, patterns = report.network_along("training"), report.patterns["training"]
-        k, predicted = np.asarray(report.k), report.predicted("training")
-        return {"friction_points": friction_points(network, k, patterns, predicted)}
-
-    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
-        if not charts:
-            return
-        model, drawn = report.model, self.data["friction_points"]
-        blocks: list[AbstractBlock] = []
-        for joint, unit, points in zip(model.output_names, model.output_units, drawn, strict=True):
-            cloud = Curve("measured", points["data"]["x"], points["data"]["y"], "points")
-            fitted = Curve("friction terms", points["model"]["x"], points["model"]["y"], "fitted")
-            speed = "velocity [rad/s]" if unit == "N m" else "velocity [m/s]"
-            panel = Panel(axis_title(joint, unit), (cloud, fitted), (), 210)
-            blocks.append(PanelChart((panel,), speed, ""))
-        yield Section(
-            "Friction",
-            "Each joint's friction over its velocity, training recording: the measured torque less"
-            " what all other terms predict, and the friction terms at the same samples. A curved"
-            " cloud beside a straight line calls for another friction term.",
-            [Grid(tuple(blocks))],
-        )
-
-
 def _recorded(report: AnyReport, name: str) -> dict[str, Any]:
     patterns = report.patterns[name]
     time, q, qd, torque = (
@@ -223,3 +221,42 @@ def _recorded(report: AnyReport, name: str) -> dict[str, Any]:
         "top_speed": np.max(np.abs(qd), axis=0) if per_joint else None,
         "torque_rms": np.sqrt([np.sum(column**2) / patterns.samples for column in torque.T]),
     }
+
+
+def _torque_curves(
+    patterns: Patterns, predicted: Float[np.ndarray, "samples joints"], recordings: int
+) -> list[dict[str, Any]]:
+    """Return per joint the measured and predicted torque and their difference, and what is masked.
+
+    Long recordings are thinned to their extremes, the more the more joints and recordings there
+    are. The residuals' range is that over fitted samples.
+    """
+    time, torque = np.asarray(patterns.time, float), np.asarray(patterns.torque, float)
+    mask, steps = np.asarray(patterns.mask), np.diff(time)
+    breaks = np.flatnonzero(steps > _GAP * np.median(steps)) + 1 if len(steps) else []
+    broken = np.insert(time, breaks, time[breaks])
+    most = _ALL_POINTS // (3 * recordings * torque.shape[1])
+    most = min(max(most, _LEAST_POINTS), _MOST_POINTS)
+
+    def thinned(values: Float[np.ndarray, " samples"]) -> dict[str, list[float | None]]:
+        x, y = envelope(broken, np.insert(values, breaks, np.nan), most)
+        return {"x": rounded(x, 8), "y": rounded(y)}
+
+    return [
+        {
+            "measured": thinned(measured),
+            "predicted": thinned(modelled),
+            "residual": thinned(measured - modelled),
+            "masked": intervals(time, ~fitted),
+            "residual_range": _range((measured - modelled)[fitted]),
+        }
+        for measured, modelled, fitted in zip(torque.T, predicted.T, mask.T, strict=True)
+    ]
+
+
+def _range(values: Float[np.ndarray, " samples"]) -> list[float] | None:
+    """Return the range of numbers, a little wider; None without any."""
+    if not values.size or not np.ptp(values) > 0:
+        return None
+    low, high = float(values.min()), float(values.max())
+    return [low - 0.1 * (high - low), high + 0.1 * (high - low)]

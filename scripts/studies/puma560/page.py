@@ -138,7 +138,7 @@ def index_page(
         summary=messages,
         sections=tuple(sections),
     )
-    return render(page, interactive=False)
+    return render(page)
 
 
 def _verdict(tables: Mapping[str, tuple[str, Rows]]) -> tuple[Tone, str, tuple[Message, ...]]:

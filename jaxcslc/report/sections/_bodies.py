@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from jaxcslc.bodies import PhysicalParameters, PossibleFit, possible_text
-from jaxcslc.manipulator import RobotError
+from jaxcslc.instruments import link_poses
+from jaxcslc.manipulator import LinkParameters, RobotError
 
-from .._blocks import AbstractBlock, Column, Paragraph, Section, Table
+from .._charts import ArmChart, Ellipsoid
+from .._page import AbstractBlock, Column, Paragraph, Section, Table
 from .._section import AbstractSection, AnyReport, open_errors
-from ._arm import arm_chart, arm_document
 
 
 class PossibleSection(AbstractSection):
@@ -44,33 +45,32 @@ class PossibleSection(AbstractSection):
         if "bodies" not in self.data:
             return
         bodies = self.data["bodies"]
+        links = bodies["links"]
         columns = [
-            Column("body", numeric=False),
-            Column("mass [kg]"),
-            *(Column(f"r{axis} [m]") for axis in "xyz"),
-            *(Column(f"I{axis}{axis} [kg m²]") for axis in "xyz"),
-            Column("motor inertia [kg m²]"),
+            (Column("body", numeric=False), bodies["names"]),
+            (Column("mass [kg]"), [link["mass"] for link in links]),
+            *(
+                (Column(f"r{axis} [m]"), [link["centre"][i] for link in links])
+                for i, axis in enumerate("xyz")
+            ),
+            *(
+                (Column(f"I{axis}{axis} [kg m²]"), [link["inertia"][i][i] for link in links])
+                for i, axis in enumerate("xyz")
+            ),
+            (Column("motor inertia [kg m²]"), [link["motor_inertia"] for link in links]),
         ]
-        rows = tuple(
-            (
-                *(name, link["mass"], *link["centre"]),
-                *(link["inertia"][axis][axis] for axis in range(3)),
-                link["motor_inertia"],
-            )
-            for name, link in zip(bodies["names"], bodies["links"], strict=True)
-        )
         caption = "Masses, centres of gravity, moments of inertia"
         blocks: list[AbstractBlock] = [
             Paragraph(
                 f"Coefficients move by {bodies['distance']:.3g} standard errors (root mean square)"
                 " to be those of possible bodies."
             ),
-            Table(tuple(columns), rows, caption, "bodies"),
+            Table.from_columns(columns, caption, "bodies"),
         ]
         if "possible" in self.data:
             blocks += _judged(report, open_errors(self.data["possible"]))
         if charts and bodies["arm"] is not None:
-            blocks.append(arm_chart(bodies["arm"]))
+            blocks.append(_arm_chart(bodies["arm"]))
         elif charts:
             blocks.append(Paragraph(f"Not drawn: {bodies['no_arm']}"))
         yield Section(
@@ -93,19 +93,16 @@ def _judged(report: AnyReport, judged: Mapping[str, Any]) -> list[AbstractBlock]
         f" {used}."
     )
     rms, free = judged["held_out_rms"], judged["free_held_out_rms"]
-    ratio = [
-        ours / theirs if ours is not None and theirs else None
-        for ours, theirs in zip(rms, free, strict=True)
-    ]
-    model = report.model
+    pairs = zip(rms, free, strict=True)
     columns = [
-        Column(model.output_kind, numeric=False),
-        *(Column("RMS, free fit"), Column("RMS, possible bodies")),
-        *(Column("unit", numeric=False), Column("ratio", digits=3)),
+        (Column(report.model.output_kind, numeric=False), report.model.output_names),
+        (Column("RMS, free fit"), free),
+        (Column("RMS, possible bodies"), rms),
+        (Column("unit", numeric=False), report.model.output_units),
+        (Column("ratio", digits=3), [a / b if a is not None and b else None for a, b in pairs]),
     ]
-    values = [model.output_names, free, rms, model.output_units, ratio]
     caption = f"motion that was not fitted ({judged['held_out']})"
-    return [Paragraph(text), Table.of_columns(columns, values, caption, "bodies-held-out")]
+    return [Paragraph(text), Table.from_columns(columns, caption, "bodies-held-out")]
 
 
 def _bodies(report: AnyReport, bodies: PhysicalParameters) -> dict[str, Any]:
@@ -132,7 +129,68 @@ def _bodies(report: AnyReport, bodies: PhysicalParameters) -> dict[str, Any]:
     }
     q = report.network.positions_of_all_joints(np.asarray(report.patterns["training"].q)[0])
     try:
-        document["arm"] = arm_document(robot, bodies.links, names, np.asarray(q))
-    except RobotError as error:
-        document["no_arm"] = str(error)
+        poses = link_poses(robot, np.asarray(q))
+    except RobotError as error:  # a length without value
+        return {**document, "no_arm": str(error)}
+    origins = [np.zeros(3) if i < 0 else poses[i][:3, 3] for i in robot.parents]
+    ellipsoids = zip(names, map(solid_ellipsoid, bodies.links), poses, strict=True)
+    document["arm"] = {
+        "lines": [[origin, pose[:3, 3]] for origin, pose in zip(origins, poses, strict=True)],
+        "bodies": [
+            {
+                "name": name,
+                "centre": pose[:3, :3] @ centre + pose[:3, 3],
+                "axes": pose[:3, :3] @ axes,
+            }
+            for name, (centre, axes), pose in ellipsoids
+        ],
+    }
     return document
+
+
+def solid_ellipsoid(link: LinkParameters) -> tuple[np.ndarray, np.ndarray]:
+    """Return the solid ellipsoid with a body's mass, centre of gravity and inertia tensor.
+
+    It exists for every possible body: along the principal axes, half axes are √(5 s / m), with s
+    the spread ∫ x² dm of mass along an axis, an eigenvalue of tr(I)/2 - I.
+
+    **Returns**
+
+    - The centre, (3,) [m].
+    - (3, 3), its columns the half axes [m].
+
+    >>> import numpy as np
+    >>> from jaxcslc.manipulator import LinkParameters
+    >>> ball = LinkParameters(2.0, np.zeros(3), 0.4 * 2.0 * 0.1**2 * np.eye(3))
+    >>> np.round(np.linalg.norm(solid_ellipsoid(ball)[1], axis=0), 6).tolist()
+    [0.1, 0.1, 0.1]
+    """
+    tensor = np.asarray(link.inertia, float)
+    spread, directions = np.linalg.eigh(0.5 * np.trace(tensor) * np.eye(3) - tensor)
+    half = np.sqrt(5.0 * np.maximum(spread, 0.0) / float(link.mass))
+    return np.asarray(link.centre_of_gravity, float), directions * half
+
+
+def _arm_chart(document: Mapping[str, Any]) -> ArmChart:
+    """Return the chart of the arm's bodies.
+
+    Bodies larger than the arm are named in the caption instead of being drawn. Where the motion
+    determines a moment of inertia and hardly the mass, the ellipsoid has no meaningful size.
+    """
+    lines = np.asarray(document["lines"], float)
+    reach = float(np.sum(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)))
+    caption = "Solid ellipsoids of the same mass and inertia, at the recording's first sample"
+    bodies: list[Ellipsoid] = []
+    large: list[str] = []
+    for body in document["bodies"]:
+        ellipsoid = Ellipsoid(body["name"], np.asarray(body["centre"]), np.asarray(body["axes"]))
+        if 0.0 < reach < float(np.max(np.linalg.norm(ellipsoid.axes, axis=0))):
+            large.append(body["name"])
+        else:
+            bodies.append(ellipsoid)
+    if large:
+        caption += (
+            f"; not drawn, because larger than the arm: {', '.join(large)}, whose inertia the"
+            " motion determines and whose mass it hardly does"
+        )
+    return ArmChart(lines, tuple(bodies), caption)

@@ -1,17 +1,25 @@
-"""Blocks of a page: paragraphs, tables, details, sections."""
+"""Pages: blocks of text, tables and details in sections, and their HTML from templates."""
 
 import abc
 import dataclasses
+import importlib.util
+import itertools
 import math
 import re
-from collections.abc import Mapping, Sequence
-from typing import ClassVar, Literal
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+from .._environment import require
+
+
+if TYPE_CHECKING:
+    import jinja2
 
 
 Tone = Literal["good", "caution", "bad", "plain"]
 Value = str | float | int | None
-
-TONES: tuple[Tone, ...] = ("good", "caution", "bad", "plain")
 
 
 class AbstractBlock(abc.ABC):
@@ -183,21 +191,18 @@ class Table(AbstractBlock):
                 )
 
     @classmethod
-    def of_columns(
-        cls,
-        columns: Sequence[Column],
-        values: Sequence[Sequence[Value]],
-        caption: str = "",
-        name: str = "",
+    def from_columns(
+        cls, columns: Iterable[tuple[Column, Iterable[Value]]], caption: str = "", name: str = ""
     ) -> "Table":
-        """A table from its columns' values, those of a column side by side.
+        """Return a table of columns, each with its values.
 
         **Raises** `ValueError` for columns of different lengths.
 
-        >>> Table.of_columns((Column("joint"), Column("RMS [N m]")), ((1, 2), (0.3, 0.2))).rows
+        >>> Table.from_columns([(Column("joint"), (1, 2)), (Column("RMS [N m]"), (0.3, 0.2))]).rows
         ((1, 0.3), (2, 0.2))
         """
-        return cls(tuple(columns), tuple(zip(*values, strict=True)), caption, name)
+        heads, values = zip(*columns, strict=True)
+        return cls(heads, tuple(zip(*values, strict=True)), caption, name)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -339,3 +344,51 @@ class Page:
     tone: Tone
     summary: tuple[Message, ...]
     sections: tuple[Section, ...]
+
+
+def render(page: Page) -> str:
+    """Return a page as one HTML file that needs no other file but those that it names.
+
+    Texts are escaped: a robot may have any name. Charts are drawn by plotly.js, which is then part
+    of the page (5 MB). Without the extra `report` a line says how to install it.
+
+    **Arguments**
+
+    - `page`: with its sections.
+
+    **Returns** the file's text.
+
+    >>> from jaxcslc.report import Page, Paragraph, Section, render
+    >>> section = Section("Errors", "", (Paragraph("below 1 N m"),))
+    >>> page = Page("Arm <1>", "", "", "plain", (), (section,))
+    >>> "<h1>Arm &lt;1&gt;</h1>" in render(page)
+    True
+    """
+    charts = any(_has_chart(section.blocks) for section in page.sections)
+    drawn = charts and importlib.util.find_spec("plotly") is not None
+    return _template().render(
+        page=page,
+        script=require("plotly.offline", "report").get_plotlyjs() if drawn else None,
+        charts=charts,
+        number=itertools.count(1).__next__,
+    )
+
+
+def _has_chart(blocks: Sequence[AbstractBlock]) -> bool:
+    """Return whether there is a chart among blocks, or in those inside them."""
+    inside = (getattr(block, "blocks", ()) for block in blocks)
+    return any(block.kind == "chart" for block in blocks) or any(map(_has_chart, inside))
+
+
+@cache
+def _template() -> "jinja2.Template":
+    import jinja2  # most users write no page
+
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    return environment.get_template("page.html")
