@@ -5,31 +5,36 @@ Counts and orders are those of the thesis (4.2, 5.1, 5.2.5).
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TypeVar
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..codegen import Motion, Value
 from ..derivation import Algebra, constant_values, derive_algebra
-from ..manipulator import LinkParameters, Manipulator
+from ..manipulator import JointLimits, LinkParameters, Manipulator
 from ._layout import coefficient_values
-from ._term_sum import AbstractTermSum
+from ._linear_network import AbstractLinearNetwork, Vector
 from .terms import (
+    JOINT_LAWS,
     AbstractInputTerm,
     AbstractManipulatorTerm,
     AbstractRigidBody,
+    CoupledTerm,
     JointProjection,
     JointTerm,
     LoadFriction,
     ProjectedTerm,
-    StaticFriction,
     carrier,
-    input_terms,
     payload_term,
-    term_entries,
 )
+
+
+Numbers = Float[Array | np.ndarray, "... joints"]
+Entry = TypeVar("Entry")
 
 
 def counts_of(
@@ -106,7 +111,17 @@ def _rigid_body_counts(algebra: Algebra) -> dict[str, dict[str, int]]:
 FrictionValues = Sequence[float] | Sequence[Sequence[float]] | Float[Array | np.ndarray, "..."]
 
 
-class CSLC(AbstractTermSum):
+def input_terms(
+    robot: Manipulator, rigid: AbstractRigidBody | ProjectedTerm
+) -> tuple[AbstractInputTerm, ...]:
+    """The terms of the robot's friction model, in its order, then those of coupled joints, and
+    last the friction that follows the torque of `rigid`, links and motors."""
+    laws = [JOINT_LAWS[kind] for kind in robot.friction_terms]
+    joint_terms = [JointTerm.of(law, robot) for law in laws if law.properties.needs != "torque"]
+    return (*joint_terms, *CoupledTerm.all_of(robot), *LoadFriction.all_of(robot, rigid))
+
+
+class CSLC(AbstractLinearNetwork):
     """A Context-Sensitive Linear Combiner: the inverse dynamics of one robot, linear in `k`.
 
         M(q) qdd + V(q, qd) + G(q) + F(qd) = torque        (Eqn. 2.5-2)
@@ -137,6 +152,56 @@ class CSLC(AbstractTermSum):
         return self.algebra.robot
 
     @property
+    def name(self) -> str:
+        """The robot's name."""
+        return self.robot.name
+
+    @property
+    def output_kind(self) -> str:
+        return "joint"
+
+    @property
+    def output_quantity(self) -> str:
+        return "torque"
+
+    @property
+    def output_labels(self) -> tuple[str, ...]:
+        """The joints' names, where the robot has such, or else `"1"` to `"n"`."""
+        if self.robot.has_joint_names:
+            return self.output_names
+        return tuple(str(joint + 1) for joint in self.robot.independent_joints)
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The joints' names, or `"joint 1"` to `"joint n"`."""
+        return self._of_independent(self.robot.joint_names)
+
+    @property
+    def output_units(self) -> tuple[str, ...]:
+        """Units of the joints' torques."""
+        return self._of_independent(self.robot.torque_units)
+
+    @property
+    def motion_count(self) -> int:
+        """Number of columns of the motion: one per joint, except joints that follow others."""
+        return len(self.robot.independent_joints)
+
+    @property
+    def joint_kinds(self) -> str:
+        """Kinds of the joints that have torques, as in `"RRPRRR"`."""
+        return "".join(self._of_independent(self.robot.kinds))
+
+    @property
+    def joint_limits(self) -> tuple[JointLimits, ...]:
+        """Limits of each of these joints according to the robot's file."""
+        return self._of_independent(self.robot.joint_limits)
+
+    @property
+    def friction_per_joint(self) -> tuple[tuple[str, ...], ...]:
+        """The friction terms of each of these joints."""
+        return self._of_independent(self.robot.friction_per_joint)
+
+    @property
     def known_values(self) -> Mapping[str, float]:
         """Values of the coefficients that are made of known masses alone, by name (C.1.2).
 
@@ -154,6 +219,82 @@ class CSLC(AbstractTermSum):
         symbolic = any(addend.constants for x in known for addend in x.addends)
         constants = constant_values(self.robot) if symbolic else {}
         return {x.name: x.known_value(constants) for x in known}
+
+    def positions_of_all_joints(self, q: Numbers) -> Float[Array | np.ndarray, "... all_joints"]:
+        """Positions of all the robot's joints, those included that follow others."""
+        projection = JointProjection.of(self.robot)
+        return q if projection is None else projection.positions(q)
+
+    def mass_matrix(self, k: Vector, q: Numbers) -> Float[Array, "..."]:
+        """M(q), (..., n, n), motor inertias included (Eqn. 2.5-6) [kg m²]."""
+        k, q = self._checked(k, q)
+        shape = (*q.shape, self.joint_count)
+        return self._sum(self._of("mass"), k, lambda term, k: term.mass_matrix(k, q), shape)
+
+    def velocity_term(self, k: Vector, q: Numbers, qd: Numbers) -> Float[Array, "..."]:
+        """V(q, qd): centrifugal and Coriolis torques (Eqn. 2.4-6), (..., n) [N m]."""
+        k, q, qd = self._checked(k, q, qd)
+        terms = self._of("velocity")
+        return self._sum(terms, k, lambda term, k: term.velocity_term(k, q, qd), q.shape)
+
+    def gravity_term(self, k: Vector, q: Numbers) -> Float[Array, "..."]:
+        """G(q): the gravity effect vector (Eqn. 2.4-7), (..., n) [N m]."""
+        k, q = self._checked(k, q)
+        terms = self._of("gravity")
+        return self._sum(terms, k, lambda term, k: term.gravity_term(k, q), q.shape)
+
+    def friction_term(self, k: Vector, qd: Numbers) -> Float[Array, "..."]:
+        """F(qd): friction (Eqn. 2.5-3, 2.5-4) and torque offset, (..., n) [N m].
+
+        Without what follows the load, which is no function of velocities alone.
+        """
+        k, qd = self._checked(k, qd)
+        still = jnp.zeros_like(qd)
+        terms = self._of("friction")
+        return self._sum(terms, k, lambda term, k: term.torque(k, still, qd, still), qd.shape)
+
+    def spring_term(self, k: Vector, q: Numbers) -> Float[Array, "..."]:
+        """S(q): torques of joint springs, stiffness times position, (..., n) [N m]."""
+        k, q = self._checked(k, q)
+        still = jnp.zeros_like(q)
+        terms = self._of("spring")
+        return self._sum(terms, k, lambda term, k: term.torque(k, q, still, still), q.shape)
+
+    def forward_dynamics(
+        self, k: Vector, q: Numbers, qd: Numbers, tau: Numbers
+    ) -> Float[Array, "..."]:
+        """Accelerations that torques `tau` (..., n) produce, (..., n) [rad/s²].
+
+        Solves M qdd = tau - V - G - F - S. Not finite where M is singular, which it is for no
+        possible mass distribution. Friction that follows the load depends on accelerations, by
+        the sign of the load: the signs are searched for, which is exact at once where the load is
+        that of `k`.
+        """
+        k, q, qd, tau = self._checked(k, q, qd, tau)
+        still = jnp.zeros_like(q)
+        plain = tuple(term for term in self.terms if not isinstance(term, LoadFriction))
+        bias = self._sum(plain, k, lambda term, k: term.torque(k, q, qd, still), q.shape)
+        mass = self.mass_matrix(k, q)
+        for term in self.terms:
+            if isinstance(term, LoadFriction):
+                factors = term.factors(k[self.layout.of(term)])
+                mass, bias = term.on_the_left(factors, q, qd, tau, mass, bias)
+        return jnp.linalg.solve(mass, (tau - bias)[..., None])[..., 0]
+
+    def without_friction(self, k: Vector) -> Float[Array, " coefficients"]:
+        """The coefficients of the same robot without friction: those of friction set to zero.
+
+        Springs and the inertia that coupled joints share stay.
+
+        >>> import jax.numpy as jnp, jaxcslc as jc
+        >>> network = jc.derive(jc.puma560())
+        >>> float(network.without_friction(jnp.ones(43)).sum())  # 6 viscous and 6 dry less
+        31.0
+        """
+        mask = np.ones(self.size)
+        mask[self.layout.friction] = 0.0
+        k = jnp.asarray(k)
+        return k * jnp.asarray(mask, k.dtype)
 
     @property
     def rigid_body(self) -> AbstractRigidBody:
@@ -189,12 +330,9 @@ class CSLC(AbstractTermSum):
         """
         for term in self.terms:
             indices = self.layout.indices(term.kind).tolist()
-            if isinstance(term, AbstractRigidBody):
-                entries = term.entries(motion)
-            else:
-                assert isinstance(term, AbstractInputTerm)
-                entries = term_entries(term, motion)
-            yield from ((joint, indices[index], value) for joint, index, value in entries)
+            assert isinstance(term, AbstractRigidBody | AbstractInputTerm)
+            for joint, index, value in term.entries(motion):
+                yield joint, indices[index], value
 
     def coefficients_from(
         self,
@@ -233,8 +371,8 @@ class CSLC(AbstractTermSum):
     @property
     def static_slopes(self) -> Float[Array | np.ndarray, "..."] | None:
         """(n,) of each joint's static friction [s/rad or s/m]; None without static friction."""
-        law = self._static_friction
-        return None if law is None else law.slopes
+        laws = (term.law for term in self.terms if isinstance(term, JointTerm))
+        return next((law.slopes for law in laws if law.slopes is not None), None)
 
     def with_static_slopes(
         self, slopes: Sequence[float] | Float[Array | np.ndarray, " joints"]
@@ -256,16 +394,14 @@ class CSLC(AbstractTermSum):
         >>> round(float(jax.grad(friction)(jnp.array([2.0]))[0]), 4)  # -0.5 exp(-2 * 0.5)
         -0.1839
         """
-        if self._static_friction is None:
+        if self.static_slopes is None:
             raise ValueError(f"static slopes: {self.robot.name!r} has no static friction")
-        law = self._static_friction.with_slopes(slopes)
-        terms = tuple(
-            dataclasses.replace(term, law=law)
-            if isinstance(term, JointTerm) and term.law is self._static_friction
+        return self._with_terms(
+            term.with_slopes(slopes)
+            if isinstance(term, JointTerm) and term.law.slopes is not None
             else term
             for term in self.terms
         )
-        return CSLC(algebra=self.algebra, terms=terms)
 
     def without_law(self, kind: str, joints: Sequence[int]) -> "CSLC":
         """Return the network without a friction law, or a spring, of some joints, counted from 1.
@@ -283,15 +419,16 @@ class CSLC(AbstractTermSum):
             kinds = self.friction_per_joint[joint - 1]
             remaining = (other for other in kinds if other != kind)
             robot = robot.with_friction(*remaining, joint=independent[joint - 1] + 1)
+        changed = {term.kind: term for term in input_terms(robot, self._rigid_term)}
         terms: list[AbstractManipulatorTerm] = []
         for term in self.terms:
             if term.kind != kind:
                 terms.append(term)
-            elif isinstance(term, LoadFriction):
-                terms += LoadFriction.of(kind, robot, term.rigid, term.load)
+            elif isinstance(term, LoadFriction) and kind in changed:
+                terms.append(dataclasses.replace(changed[kind], load=term.load))
             elif isinstance(term, JointTerm) and (fewer := JointTerm.of(term.law, robot)).size:
                 terms.append(fewer)
-        return CSLC(algebra=dataclasses.replace(self.algebra, robot=robot), terms=tuple(terms))
+        return self._with_terms(terms, robot)
 
     def with_joint_friction(self, kinds: Sequence[Sequence[str]]) -> "CSLC":
         """Return the network with other friction laws, and springs, of its joints.
@@ -318,10 +455,7 @@ class CSLC(AbstractTermSum):
         robot = self.robot
         for joint, kinds_of_joint in zip(robot.independent_joints, kinds, strict=True):
             robot = robot.with_friction(*kinds_of_joint, joint=joint + 1)
-        return CSLC(
-            algebra=dataclasses.replace(self.algebra, robot=robot),
-            terms=(self.terms[0], *input_terms(robot, self._rigid_term)),
-        )
+        return self._with_terms((self.terms[0], *input_terms(robot, self._rigid_term)), robot)
 
     @property
     def load_terms(self) -> tuple[LoadFriction, ...]:
@@ -347,10 +481,10 @@ class CSLC(AbstractTermSum):
         if not self.load_terms:
             raise ValueError(f"load: {self.robot.name!r} has no friction of kind 'load'")
         load = None if k is None else k[self.layout.inertial]
-        terms = (
-            term.with_load(load) if isinstance(term, LoadFriction) else term for term in self.terms
+        return self._with_terms(
+            dataclasses.replace(term, load=load) if isinstance(term, LoadFriction) else term
+            for term in self.terms
         )
-        return CSLC(algebra=self.algebra, terms=tuple(terms))
 
     def without_load(self) -> "CSLC":
         """Return the network without load-dependent friction, if it has any."""
@@ -359,16 +493,27 @@ class CSLC(AbstractTermSum):
             network = network.without_law(term.kind, range(1, self.joint_count + 1))
         return network
 
+    def _of_independent(self, entries: Sequence[Entry]) -> tuple[Entry, ...]:
+        """Select, from entries of all the robot's joints, those of the joints that have torques."""
+        return tuple(entries[i] for i in self.robot.independent_joints)
+
+    def _of(self, part: str) -> tuple[AbstractManipulatorTerm, ...]:
+        """The terms that belong to a sum of the equation of motion."""
+        return tuple(term for term in self.terms if part in term.parts)
+
     @property
     def _rigid_term(self) -> AbstractRigidBody | ProjectedTerm:
         rigid = self.terms[0]
         assert isinstance(rigid, AbstractRigidBody | ProjectedTerm)
         return rigid
 
-    @property
-    def _static_friction(self) -> StaticFriction | None:
-        laws = (term.law for term in self.terms if isinstance(term, JointTerm))
-        return next((law for law in laws if isinstance(law, StaticFriction)), None)
+    def _with_terms(
+        self, terms: Iterable[AbstractManipulatorTerm], robot: Manipulator | None = None
+    ) -> "CSLC":
+        algebra = self.algebra
+        if robot is not None:
+            algebra = dataclasses.replace(algebra, robot=robot)
+        return CSLC(algebra=algebra, terms=tuple(terms))
 
     def with_payload(self, link: int | None = None) -> "CSLC":
         """Return the network with a payload: a body rigidly attached to a link (thesis 8.2.4).
@@ -407,7 +552,7 @@ class CSLC(AbstractTermSum):
         payload = ProjectedTerm.of(
             payload_term(carrier(self.robot, link)), JointProjection.of(self.robot)
         )
-        return CSLC(algebra=self.algebra, terms=(*self.terms, payload))
+        return self._with_terms((*self.terms, payload))
 
     @property
     def carrying_link(self) -> int | None:

@@ -15,7 +15,7 @@ from jaxcslc._environment import array_namespace
 from jaxcslc.derivation import Coefficient
 from jaxcslc.manipulator import Manipulator
 
-from ._expressed_bodies import AbstractRigidBody
+from ._rigid_body import AbstractRigidBody
 from ._term import AbstractManipulatorTerm, Coefficients, Columns, Joints, Matrices, Regressor, Rows
 
 

@@ -2,9 +2,11 @@
 
 import abc
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from jaxcslc.derivation import Coefficient
@@ -102,3 +104,20 @@ class AbstractManipulatorTerm(AbstractTerm):
     @abc.abstractmethod
     def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
         """The term's share of G(q), (..., n)."""
+
+
+def hash_of(*values: Any) -> int:
+    """Hash values, arrays by their numbers.
+
+    `jax.jit(network.torque)` looks the method up by the hash of its terms, and arrays have none.
+    """
+    return hash(tuple(map(_hashable, values)))
+
+
+def _hashable(value: Any) -> Any:
+    if isinstance(value, Tracer):
+        return id(value)
+    if isinstance(value, np.ndarray | Array):
+        numbers = np.asarray(value)
+        return numbers.shape, numbers.tobytes()
+    return value
