@@ -232,14 +232,8 @@ class AbstractInputTerm(AbstractManipulatorTerm):
         )
 
     def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
-        inputs = jnp.stack(self._array_inputs(*map(by_joint, (q, qd, qdd))), axis=-1)
-        shape = (*q.shape, len(self.input_joints))
-        # One row of the identity an input: a product costs less than many small arrays.
-        eye = jnp.asarray(np.eye(self.joint_count)[:, list(self.input_joints)], q.dtype)
-        rows = jnp.broadcast_to(inputs[..., None, :], shape) * jnp.broadcast_to(eye, shape)
-        if len(self.input_joints) == self.size:
-            return rows
-        return jnp.sum(rows.reshape(*q.shape, self.size, -1), axis=-1)
+        inputs = self._array_inputs(*map(by_joint, (q, qd, qdd)))
+        return self._regressor(jnp.stack(inputs, axis=-1))
 
     def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
         total = [jnp.zeros_like(q[..., 0])] * self.joint_count
@@ -247,6 +241,15 @@ class AbstractInputTerm(AbstractManipulatorTerm):
         for joint, index, value in zip(self.input_joints, self.input_indices, inputs, strict=True):
             total[joint] = total[joint] + k[index] * value
         return jnp.stack(total, axis=-1)
+
+    def _regressor(self, inputs: Float[Array, "*batch inputs"]) -> Regressor:
+        shape = (*inputs.shape[:-1], self.joint_count, inputs.shape[-1])
+        # One row of the identity an input: a product costs less than many small arrays.
+        eye = jnp.asarray(np.eye(self.joint_count)[:, list(self.input_joints)], inputs.dtype)
+        rows = jnp.broadcast_to(inputs[..., None, :], shape) * jnp.broadcast_to(eye, shape)
+        if inputs.shape[-1] == self.size:
+            return rows
+        return jnp.sum(rows.reshape(*shape[:-1], self.size, -1), axis=-1)
 
     def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
         matrix = jnp.tensordot(k, jnp.asarray(self.inertia_matrices, k.dtype), 1)

@@ -11,14 +11,15 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxcslc.derivation import Coefficient
 from jaxcslc.manipulator import STATIC_SLOPE, Manipulator
 
-from ._input_term import AbstractFunctions, AbstractInputTerm
-from ._term import hash_of
+from ._input_term import JAX_FUNCTIONS, AbstractFunctions, AbstractInputTerm
+from ._term import Coefficients, Joints, Regressor, hash_of
 
 
 LOAD, DIRECTIONAL_LOAD = "load", "directional_load"
@@ -259,6 +260,10 @@ class AbstractJointTerm(AbstractInputTerm):
     ) -> Sequence[Any]:
         """Return what the law needs beside motion, one value per joint."""
 
+    @abc.abstractmethod
+    def _needed_of_all(self, q: Joints, qd: Joints, qdd: Joints) -> Joints | None:
+        """Return the same of all joints as one array, (..., n)."""
+
     @property
     def keyword(self) -> str:
         return self.kind
@@ -300,6 +305,26 @@ class AbstractJointTerm(AbstractInputTerm):
         values = [formula(functions, q[j], qd[j], needed[j]) for j in self.joints]
         return [value for of_symbol in zip(*values, strict=True) for value in of_symbol]
 
+    def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
+        values = [x[..., np.array(self.joints)] for x in self._of_all_joints(q, qd, qdd)]
+        return self._regressor(jnp.concatenate(values, axis=-1))
+
+    def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
+        # Arrays of all joints: apart, they would be joined again at a third of the speed.
+        values = self._of_all_joints(q, qd, qdd)
+        of_joints = k.reshape(len(values), -1)
+        if len(self.joints) < self.joint_count:
+            zeros = jnp.zeros((len(values), self.joint_count), k.dtype)
+            of_joints = zeros.at[:, np.array(self.joints)].set(of_joints)
+        first, *others = (
+            x * jnp.broadcast_to(row, x.shape) for x, row in zip(values, of_joints, strict=True)
+        )
+        return sum(others, first)
+
+    def _of_all_joints(self, q: Joints, qd: Joints, qdd: Joints) -> tuple[Joints, ...]:
+        needed = self._needed_of_all(q, qd, qdd)
+        return self.law.properties.formula(JAX_FUNCTIONS, q, qd, needed)
+
 
 class JointTerm(AbstractJointTerm):
     """A law of joints by their own motion: friction, torque offset, spring."""
@@ -335,6 +360,11 @@ class JointTerm(AbstractJointTerm):
         if slopes is None:
             return [None] * self.joint_count
         return [functions.constant(slopes[j], qd[j]) for j in range(self.joint_count)]
+
+    def _needed_of_all(self, q: Joints, qd: Joints, qdd: Joints) -> Joints | None:
+        del q, qdd
+        slopes = self.law.slopes
+        return None if slopes is None else jnp.broadcast_to(jnp.asarray(slopes, qd.dtype), qd.shape)
 
 
 def joint_fields(law: JointLaw, robot: Manipulator) -> dict[str, Any]:

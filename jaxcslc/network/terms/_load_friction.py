@@ -89,6 +89,9 @@ class LoadFriction(AbstractJointTerm):
     ) -> Sequence[Any]:
         return functions.rigid_torque(self.rigid, self._load(), q, qd, qdd)
 
+    def _needed_of_all(self, q: Joints, qd: Joints, qdd: Joints) -> Joints | None:
+        return self.rigid.torque(jnp.asarray(self._load(), q.dtype), q, qd, qdd)
+
     def factors(self, k: Coefficients) -> Float[Array, "2 joints"]:
         """The coefficients of all joints where they drive their load and where they brake it,
         (2, n), zero for those without such friction."""
