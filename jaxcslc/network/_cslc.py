@@ -5,8 +5,8 @@ Counts and orders are those of the thesis (4.2, 5.1, 5.2.5).
 """
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -20,6 +20,7 @@ from ._layout import coefficient_values
 from ._linear_network import AbstractLinearNetwork, Vector
 from .terms import (
     JOINT_LAWS,
+    PARTS,
     AbstractInputTerm,
     AbstractManipulatorTerm,
     AbstractRigidBody,
@@ -28,6 +29,7 @@ from .terms import (
     JointTerm,
     LoadFriction,
     ProjectedTerm,
+    RigidBodyTables,
     carrier,
     payload_term,
 )
@@ -35,76 +37,6 @@ from .terms import (
 
 Numbers = Float[Array | np.ndarray, "... joints"]
 Entry = TypeVar("Entry")
-
-
-def counts_of(
-    algebra: Algebra, terms: Sequence[AbstractInputTerm], carrying_link: int | None
-) -> dict[str, dict[str, int]]:
-    """Size of each subnetwork: inputs, links and coefficients (thesis 5.1, Appendix B).
-
-    - `algebra`: of the rigid body; `terms`: of everything beside it.
-    - `carrying_link`: of a payload, counted from 1; None without one.
-    """
-    counts = _rigid_body_counts(algebra)
-    for term in terms:
-        n = len(term.input_joints)
-        nodes = len(set(term.input_joints))
-        counts[term.kind] = {"inputs": n, "links": n, "nodes": nodes, "coefficients": term.size}
-    for payload in _payload_algebra(algebra, carrying_link):
-        parts = _rigid_body_counts(payload).values()
-        total = {name: sum(part[name] for part in parts) for name in ("inputs", "links", "nodes")}
-        counts["payload"] = total | {"coefficients": len(payload.coefficients)}
-    return counts
-
-
-def order_per_joint(
-    algebra: Algebra, terms: Sequence[AbstractInputTerm], carrying_link: int | None
-) -> tuple[int, ...]:
-    """Count the independent coefficients that each joint's torque depends on (thesis 4.2, 5.2.5).
-
-    For a network whose output is linear in its coefficients and whose hidden nodes feed one
-    context-sensitive product each, the order of an output is the number of coefficients that
-    reach it. Arguments as of `counts_of`.
-    """
-    projection, n = JointProjection.of(algebra.robot), algebra.robot.joint_count
-    moved = [[i] for i in range(n)]
-    if projection is not None:
-        moved = [[joint for joint, _ in shares] for shares in projection.shares]
-    orders = [0] * len(moved)
-    for rigid in (algebra, *_payload_algebra(algebra, carrying_link)):
-        reach: list[set[int]] = [set() for _ in range(n)]
-        for link in rigid.mass.links:
-            for joint in rigid.mass.columns[link.column]:
-                reach[joint] |= {index for index, _ in link.weights}
-        for table in (rigid.velocity, rigid.gravity):
-            for link in table.links:
-                reach[table.columns[link.column][0]] |= {index for index, _ in link.weights}
-        for output, joints in enumerate(moved):
-            orders[output] += len({index for joint in joints for index in reach[joint]})
-    for term in terms:
-        for joint in term.input_joints:
-            orders[joint] += 1
-    return tuple(orders)
-
-
-def _payload_algebra(algebra: Algebra, carrying_link: int | None) -> tuple[Algebra, ...]:
-    """The closed form of a payload's torque in base parameters; empty without a payload."""
-    if carrying_link is None:
-        return ()
-    return (derive_algebra(carrier(algebra.robot, carrying_link), "numeric"),)
-
-
-def _rigid_body_counts(algebra: Algebra) -> dict[str, dict[str, int]]:
-    tables = {name: getattr(algebra, name) for name in ("mass", "velocity", "gravity")}
-    return {
-        name: {
-            "inputs": len(table.inputs),
-            "links": len(table.links),
-            "nodes": len(table.columns),
-            "coefficients": len(table.coefficients),
-        }
-        for name, table in tables.items()
-    }
 
 
 # One number a joint, two for either direction, or three a pair of coupled joints.
@@ -229,19 +161,17 @@ class CSLC(AbstractLinearNetwork):
         """M(q), (..., n, n), motor inertias included (Eqn. 2.5-6) [kg m²]."""
         k, q = self._checked(k, q)
         shape = (*q.shape, self.joint_count)
-        return self._sum(self._of("mass"), k, lambda term, k: term.mass_matrix(k, q), shape)
+        return self._part("mass", k, lambda term, k: term.part("mass_matrix", k, q), shape)
 
     def velocity_term(self, k: Vector, q: Numbers, qd: Numbers) -> Float[Array, "..."]:
         """V(q, qd): centrifugal and Coriolis torques (Eqn. 2.4-6), (..., n) [N m]."""
         k, q, qd = self._checked(k, q, qd)
-        terms = self._of("velocity")
-        return self._sum(terms, k, lambda term, k: term.velocity_term(k, q, qd), q.shape)
+        return self._part("velocity", k, lambda term, k: term.part("velocity", k, q, qd), q.shape)
 
     def gravity_term(self, k: Vector, q: Numbers) -> Float[Array, "..."]:
         """G(q): the gravity effect vector (Eqn. 2.4-7), (..., n) [N m]."""
         k, q = self._checked(k, q)
-        terms = self._of("gravity")
-        return self._sum(terms, k, lambda term, k: term.gravity_term(k, q), q.shape)
+        return self._part("gravity", k, lambda term, k: term.part("gravity", k, q), q.shape)
 
     def friction_term(self, k: Vector, qd: Numbers) -> Float[Array, "..."]:
         """F(qd): friction (Eqn. 2.5-3, 2.5-4) and torque offset, (..., n) [N m].
@@ -250,15 +180,13 @@ class CSLC(AbstractLinearNetwork):
         """
         k, qd = self._checked(k, qd)
         still = jnp.zeros_like(qd)
-        terms = self._of("friction")
-        return self._sum(terms, k, lambda term, k: term.torque(k, still, qd, still), qd.shape)
+        return self._part("friction", k, lambda term, k: term.torque(k, still, qd, still), qd.shape)
 
     def spring_term(self, k: Vector, q: Numbers) -> Float[Array, "..."]:
         """S(q): torques of joint springs, stiffness times position, (..., n) [N m]."""
         k, q = self._checked(k, q)
         still = jnp.zeros_like(q)
-        terms = self._of("spring")
-        return self._sum(terms, k, lambda term, k: term.torque(k, q, still, still), q.shape)
+        return self._part("spring", k, lambda term, k: term.torque(k, q, still, still), q.shape)
 
     def forward_dynamics(
         self, k: Vector, q: Numbers, qd: Numbers, tau: Numbers
@@ -271,14 +199,13 @@ class CSLC(AbstractLinearNetwork):
         that of `k`.
         """
         k, q, qd, tau = self._checked(k, q, qd, tau)
-        still = jnp.zeros_like(q)
-        plain = tuple(term for term in self.terms if not isinstance(term, LoadFriction))
+        still, loads = jnp.zeros_like(q), self.load_terms
+        plain = [term for term in self.terms if not isinstance(term, LoadFriction)]
         bias = self._sum(plain, k, lambda term, k: term.torque(k, q, qd, still), q.shape)
         mass = self.mass_matrix(k, q)
-        for term in self.terms:
-            if isinstance(term, LoadFriction):
-                factors = term.factors(k[self.layout.of(term)])
-                mass, bias = term.on_the_left(factors, q, qd, tau, mass, bias)
+        for term in loads:
+            factors = term.factors(k[self.layout.of(term)])
+            mass, bias = term.on_the_left(factors, q, qd, tau, mass, bias)
         return jnp.linalg.solve(mass, (tau - bias)[..., None])[..., 0]
 
     def without_friction(self, k: Vector) -> Float[Array, " coefficients"]:
@@ -497,9 +424,11 @@ class CSLC(AbstractLinearNetwork):
         """Select, from entries of all the robot's joints, those of the joints that have torques."""
         return tuple(entries[i] for i in self.robot.independent_joints)
 
-    def _of(self, part: str) -> tuple[AbstractManipulatorTerm, ...]:
-        """The terms that belong to a sum of the equation of motion."""
-        return tuple(term for term in self.terms if part in term.parts)
+    def _part(
+        self, part: str, k: Array, share: Callable[[Any, Array], Array], shape: tuple[int, ...]
+    ) -> Array:
+        """The shares of the terms that belong to a sum of the equation of motion."""
+        return self._sum([term for term in self.terms if part in term.parts], k, share, shape)
 
     @property
     def _rigid_term(self) -> AbstractRigidBody | ProjectedTerm:
@@ -567,15 +496,37 @@ class CSLC(AbstractLinearNetwork):
 
         Derives the closed-form tables if the network did not need them until now.
         """
-        return counts_of(self.algebra, self.input_terms, self.carrying_link)
+        counts = _rigid_body_counts(self.algebra)
+        for term in self.input_terms:
+            n, nodes = len(term.input_joints), len(set(term.input_joints))
+            counts[term.kind] = {"inputs": n, "links": n, "nodes": nodes, "coefficients": term.size}
+        for payload in self._payload_algebra:
+            parts = _rigid_body_counts(payload).values()
+            names = ("inputs", "links", "nodes")
+            total = {name: sum(part[name] for part in parts) for name in names}
+            counts["payload"] = total | {"coefficients": len(payload.coefficients)}
+        return counts
 
     @property
     def order_per_joint(self) -> tuple[int, ...]:
         """Number of coefficients that each joint's torque depends on, friction included (5.2.5).
 
-        Of a payload's ten, as many as the joint's torque can tell apart.
+        For a network whose output is linear in its coefficients and whose hidden nodes feed one
+        context-sensitive product each, the order of an output is the number of coefficients that
+        reach it (4.2). Of a payload's ten, as many as the joint's torque can tell apart.
         """
-        return order_per_joint(self.algebra, self.input_terms, self.carrying_link)
+        projection = JointProjection.of(self.robot)
+        rigid = (RigidBodyTables.from_algebra(x) for x in (self.algebra, *self._payload_algebra))
+        terms = *(ProjectedTerm.of(x, projection) for x in rigid), *self.input_terms
+        return tuple(
+            sum(map(len, of_terms)) for of_terms in zip(*(x.support for x in terms), strict=True)
+        )
+
+    @property
+    def _payload_algebra(self) -> tuple[Algebra, ...]:
+        """The closed form of a payload's torque in base parameters; empty without a payload."""
+        link = self.carrying_link
+        return () if link is None else (derive_algebra(carrier(self.robot, link), "numeric"),)
 
     @property
     def order(self) -> int:
@@ -594,3 +545,16 @@ class CSLC(AbstractLinearNetwork):
             f"CSLC({self.robot.name}: {self.joint_count} joints, {self.size} coefficients:"
             f" {sizes}; {type(self.rigid_body).__name__})"
         )
+
+
+def _rigid_body_counts(algebra: Algebra) -> dict[str, dict[str, int]]:
+    tables = {name: getattr(algebra, name) for name in PARTS}
+    return {
+        name: {
+            "inputs": len(table.inputs),
+            "links": len(table.links),
+            "nodes": len(table.columns),
+            "coefficients": len(table.coefficients),
+        }
+        for name, table in tables.items()
+    }

@@ -19,7 +19,7 @@ from jaxcslc._environment import array_namespace
 from jaxcslc.codegen import Motion, Value
 
 from ._joint_projection import ProjectedTerm
-from ._term import AbstractManipulatorTerm, Coefficients, Columns, Joints, Matrices, Regressor, Rows
+from ._term import AbstractManipulatorTerm, Coefficients, Columns, Joints, Regressor, Rows
 
 
 class AbstractFunctions(abc.ABC):
@@ -251,17 +251,11 @@ class AbstractInputTerm(AbstractManipulatorTerm):
             return rows
         return jnp.sum(rows.reshape(*shape[:-1], self.size, -1), axis=-1)
 
-    def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
+    def part(self, quantity: str, k: Coefficients, *motion: Joints) -> Float[Array, "..."]:
+        if quantity != "mass_matrix":
+            return jnp.zeros_like(motion[0])
         matrix = jnp.tensordot(k, jnp.asarray(self.inertia_matrices, k.dtype), 1)
-        return jnp.broadcast_to(matrix, (*q.shape, self.joint_count))
-
-    def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
-        del k, qd
-        return jnp.zeros_like(q)
-
-    def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
-        del k
-        return jnp.zeros_like(q)
+        return jnp.broadcast_to(matrix, (*motion[0].shape, self.joint_count))
 
     def _array_inputs(self, q: Sequence[Any], qd: Sequence[Any], qdd: Sequence[Any]) -> list[Any]:
         """The inputs of arrays: NumPy's, unless motion or the term's own numbers are JAX's."""

@@ -120,7 +120,7 @@ class LoadFriction(AbstractJointTerm):
         - `tau`: (..., n) torques; `mass`, `bias`: of M qdd + bias = tau without this friction.
         """
         load = jnp.asarray(self._load(), q.dtype)
-        matrix = self.rigid.mass_matrix(load, q)
+        matrix = self.rigid.part("mass_matrix", load, q)
         start = self.rigid.torque(load, q, qd, jnp.zeros_like(q))
 
         def equations(signs: Joints) -> tuple[Matrices, Joints]:
@@ -220,14 +220,8 @@ class LoadedRigidBody(AbstractManipulatorTerm):
     def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
         return self.rigid.torque(k, q, qd, qdd) * self._weights(q, qd, qdd)
 
-    def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
-        return self.rigid.mass_matrix(k, q)
-
-    def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
-        return self.rigid.velocity_term(k, q, qd)
-
-    def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
-        return self.rigid.gravity_term(k, q)
+    def part(self, quantity: str, k: Coefficients, *motion: Joints) -> Float[Array, "..."]:
+        return self.rigid.part(quantity, k, *motion)
 
     def _weights(self, q: Joints, qd: Joints, qdd: Joints) -> Joints:
         torque = self.rigid.torque(jnp.asarray(self.load, q.dtype), q, qd, qdd)

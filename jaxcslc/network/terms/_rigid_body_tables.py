@@ -6,7 +6,6 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
-from itertools import chain, pairwise
 from typing import Any
 
 import equinox as eqx
@@ -14,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxcslc._environment import array_namespace
 from jaxcslc.codegen import Expressions, Motion, StraightLine, Value, motion_outputs
 from jaxcslc.derivation import Algebra, Coefficient, PositionRing, ProductTable
 
@@ -263,41 +261,6 @@ def _support(
     return tuple(tuple(sorted(coefficients)) for coefficients in reach)
 
 
-def product_rows(
-    monomials: Sequence[Monomial], variables: Float[Array, " variables *batch"]
-) -> Float[Array, " monomials *batch"]:
-    """`products` as one array: one gathered product for each degree.
-
-    A Panda's tables have 9,500 monomials. Written out, they are that many operations, which XLA
-    compiles for 50 s on one core; this is two operations for each of some fifteen degrees, and
-    half a second.
-    """
-    degrees: list[list[Monomial]] = [[(0,) * len(variables)]]
-    parents: dict[Monomial, tuple[Monomial, int]] = {}
-    pending = list(monomials)
-    while pending:
-        monomial = pending.pop()
-        if monomial in parents or not any(monomial):
-            continue
-        last = max(index for index, power in enumerate(monomial) if power)
-        shorter = (*monomial[:last], monomial[last] - 1, *monomial[last + 1 :])
-        parents[monomial] = shorter, last
-        pending.append(shorter)
-    for monomial in sorted(parents, key=lambda monomial: (sum(monomial), monomial)):
-        if sum(monomial) == len(degrees):
-            degrees.append([])
-        degrees[-1].append(monomial)
-    levels = [jnp.ones_like(variables[:1])]
-    for shorter, level in pairwise(degrees):
-        index = {monomial: row for row, monomial in enumerate(shorter)}
-        factors = [(index[before], last) for before, last in map(parents.__getitem__, level)]
-        before, last = np.array(factors).T
-        levels.append(levels[-1][before] * variables[last])
-    rows = {monomial: row for row, monomial in enumerate(chain.from_iterable(degrees))}
-    order = np.array([rows[monomial] for monomial in monomials], int)
-    return jnp.concatenate(levels)[order]
-
-
 def input_rows(
     ring: PositionRing, monomials: Sequence[Monomial], q: Sequence[Samples]
 ) -> Float[Array, " monomials *batch"]:
@@ -317,6 +280,28 @@ def input_rows(
     >>> input_rows(algebra.ring, algebra.mass.inputs, list(jnp.zeros((6, 100)))).shape
     (59, 100)
     """
-    xp = array_namespace(*q)
-    variables = position_variables(ring, q, xp.cos, xp.sin)
-    return product_rows(monomials, jnp.stack(variables))
+    variables = jnp.stack(position_variables(ring, q, jnp.cos, jnp.sin))
+    highest, needed = max(map(sum, monomials), default=0), set(monomials)
+    for degree in range(highest, 1, -1):
+        needed |= {_without_last(m) for m in needed if sum(m) == degree}
+    # A gathered product for each degree: a Panda's 9,500 monomials, written out, compile for 50 s.
+    level: list[Monomial] = [(0,) * len(variables)]
+    order, levels = list(level), [jnp.ones_like(variables[:1])]
+    for degree in range(1, highest + 1):
+        before = {monomial: row for row, monomial in enumerate(level)}
+        level = sorted(m for m in needed if sum(m) == degree)
+        factors = np.array([(before[_without_last(m)], _last(m)) for m in level]).T
+        levels.append(levels[-1][factors[0]] * variables[factors[1]])
+        order += level
+    row_of = {monomial: row for row, monomial in enumerate(order)}
+    return jnp.concatenate(levels)[np.array([row_of[m] for m in monomials], int)]
+
+
+def _last(monomial: Monomial) -> int:
+    """Return the last variable of a monomial."""
+    return max(index for index, power in enumerate(monomial) if power)
+
+
+def _without_last(monomial: Monomial) -> Monomial:
+    last = _last(monomial)
+    return (*monomial[:last], monomial[last] - 1, *monomial[last + 1 :])

@@ -94,16 +94,13 @@ class AbstractManipulatorTerm(AbstractTerm):
     """A term of a robot's inverse dynamics, which says what it adds to each part of them."""
 
     @abc.abstractmethod
-    def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
-        """The term's share of M(q), (..., n, n)."""
+    def part(self, quantity: str, k: Coefficients, *motion: Joints) -> Float[Array, "..."]:
+        """Compute the term's share of a part of the dynamics.
 
-    @abc.abstractmethod
-    def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
-        """The term's share of V(q, qd), (..., n)."""
-
-    @abc.abstractmethod
-    def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
-        """The term's share of G(q), (..., n)."""
+        - `quantity`: `"mass_matrix"`, M(q) (..., n, n); `"velocity"`, V(q, qd) (..., n);
+          `"gravity"`, G(q) (..., n).
+        - `motion`: positions, for V velocities too.
+        """
 
 
 def hash_of(*values: Any) -> int:
