@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from .._rank import numerical_rank
 from ._functions import HARD_LIMITER
-from ._network import AdaptiveNetwork, Layer, Links, Signals
+from ._network import AdaptiveNetwork, Layer, Links, Passage, Signals
 
 
 Weights = Float[Array, " weights"]
@@ -61,6 +61,28 @@ class AbstractRule(eqx.Module):
         return None
 
     @abstractmethod
+    def moves(
+        self,
+        network: AdaptiveNetwork,
+        weights: Weights,
+        passage: Passage,
+        errors: Numbers,
+        counts: Counts,
+    ) -> Moves:
+        """Compute what the links of every adaptive layer are moved by, at a rate of one.
+
+        - `passage`: forward, of the patterns.
+        - `errors`: at the output nodes; `counts`: as of `change`.
+        """
+
+    def proportions(self, weights: Weights) -> Weights | None:
+        """Return what links are moved in proportion to, for rules that move what links pass on.
+
+        A link's known multiple then enters by its sign only; otherwise as it is, by the chain rule.
+        """
+        del weights
+        return None
+
     def change(
         self,
         network: AdaptiveNetwork,
@@ -80,6 +102,12 @@ class AbstractRule(eqx.Module):
         - `learning`: which layers take part; shared weights move by the average over the links
           of those that do (5.2.6).
         """
+        passage = network.forward(weights, signals)
+        errors = targets - network.activation.value(passage.total)
+        moves = self.moves(network, weights, passage, errors, counts)
+        sizes = self.proportions(weights)
+        change = change_of_weights(network, moves, learning, by_sign=sizes is not None)
+        return change if sizes is None else jnp.abs(sizes)[None, :] * change
 
 
 def of_subnetwork(counts: Counts, number: int) -> Numbers:
@@ -148,19 +176,16 @@ class PerceptronRule(AbstractRule):
             return f"the perceptron rule trains hard limiters, not a {network.activation.name}"
         return None
 
-    def change(
+    def moves(
         self,
         network: AdaptiveNetwork,
         weights: Weights,
-        signals: Signals,
-        targets: Numbers,
+        passage: Passage,
+        errors: Numbers,
         counts: Counts,
-        learning: tuple[bool, ...],
-    ) -> Float[Array, "groups weights"]:
-        passage = network.forward(weights, signals)
-        errors = (targets - network.activation.value(passage.total)) * of_subnetwork(counts, 0)
-        move = transposed_product(errors, passage.layer_inputs[0][0])
-        return change_of_weights(network, [move], learning)
+    ) -> Moves:
+        del network, weights
+        return [transposed_product(errors * of_subnetwork(counts, 0), passage.layer_inputs[0][0])]
 
 
 class Backpropagation(AbstractRule):
@@ -189,19 +214,16 @@ class Backpropagation(AbstractRule):
                 )
         return None
 
-    def change(
+    def moves(
         self,
         network: AdaptiveNetwork,
         weights: Weights,
-        signals: Signals,
-        targets: Numbers,
+        passage: Passage,
+        errors: Numbers,
         counts: Counts,
-        learning: tuple[bool, ...],
-    ) -> Float[Array, "groups weights"]:
-        passage = network.forward(weights, signals)
+    ) -> Moves:
         slope = network.activation.slope
         assert slope is not None, self.check_network(network)
-        errors = targets - network.activation.value(passage.total)
         slopes = slope(passage.total)
 
         moves: list[Array] = []
@@ -224,7 +246,7 @@ class Backpropagation(AbstractRule):
                 subnetwork.layers, weights, delta, inputs[:end], sums[:end]
             )
             moves += reversed(subnetwork_moves)
-        return change_of_weights(network, moves, learning)
+        return moves
 
 
 def _moves_back(
@@ -292,40 +314,32 @@ class PERAL(AbstractRule):
             )
         return None
 
-    def change(
+    def proportions(self, weights: Weights) -> Weights:
+        return weights
+
+    def moves(
         self,
         network: AdaptiveNetwork,
         weights: Weights,
-        signals: Signals,
-        targets: Numbers,
+        passage: Passage,
+        errors: Numbers,
         counts: Counts,
-        learning: tuple[bool, ...],
-    ) -> Float[Array, "groups weights"]:
-        return _allocated(network, weights, weights, signals, targets, counts, learning)
+    ) -> Moves:
+        return _allocated(network, weights, passage, errors, counts)
 
 
 def _allocated(
-    network: AdaptiveNetwork,
-    weights: Weights,
-    shares_of: Weights,
-    signals: Signals,
-    targets: Numbers,
-    counts: Counts,
-    learning: tuple[bool, ...],
-) -> Float[Array, "groups weights"]:
-    """Allocate errors to links in proportion to what they would bring with weights `shares_of`."""
-    passage = network.forward(weights, signals)
-    activation = network.activation
-    errors = targets - activation.value(passage.total)
-
+    network: AdaptiveNetwork, sizes: Weights, passage: Passage, errors: Numbers, counts: Counts
+) -> Moves:
+    """Allocate errors to links in proportion to what they would bring with weights `sizes`."""
     # Moduli of what the links of each subnetwork's adaptive layer bring to its nodes, and of
     # what its context layers bring to theirs.
     brought: list[list[Array]] = []
     for at, subnetwork in enumerate(network.subnetworks):
-        magnitudes = subnetwork.layers[0].links.matrix(shares_of, magnitude=True)
+        magnitudes = subnetwork.layers[0].links.matrix(sizes, magnitude=True)
         moduli = [magnitudes @ jnp.abs(passage.layer_inputs[at][0])]
         for layer, value, context in zip(
-            subnetwork.contexts, passage.values[at], signals.contexts[at], strict=True
+            subnetwork.contexts, passage.values[at], passage.contexts[at], strict=True
         ):
             moduli.append(layer.forward(jnp.abs(value), jnp.abs(context)))
         brought.append(moduli)
@@ -334,19 +348,18 @@ def _allocated(
     moves: list[Array] = []
     for at, subnetwork in enumerate(network.subnetworks):
         counted = errors * of_subnetwork(counts, at)
-        wanted = counted if activation.increasing else -counted  # Eqn. 6.2-1
+        wanted = counted if network.activation.increasing else -counted  # Eqn. 6.2-1
         portion = share(wanted, at_outputs)
         for number in reversed(range(len(subnetwork.contexts))):
             layer, value = subnetwork.contexts[number], passage.values[at][number]
-            signs = jnp.sign(signals.contexts[at][number])
+            signs = jnp.sign(passage.contexts[at][number])
             inverse_fan_out = 1.0 / layer.fan_out.astype(value.dtype)
             moved = jnp.abs(value) * layer.backward(portion, signs) * inverse_fan_out[:, None]
             if number == 0 and not subnetwork.layers[0].activation.increasing:
                 moved = -moved  # Eqn. 6.2-5
             portion = share(moved, brought[at][number])
         moves.append(transposed_product(portion, jnp.sign(passage.layer_inputs[at][0])))
-    change = change_of_weights(network, moves, learning, by_sign=True)
-    return jnp.abs(shares_of)[None, :] * change
+    return moves
 
 
 def check_layers(network: AdaptiveNetwork) -> str | None:
@@ -436,16 +449,20 @@ class IdealPERAL(AbstractRule):
                     return f"ideal PERAL: {error}"
         return None
 
-    def change(
+    def proportions(self, weights: Weights) -> Weights:
+        del weights
+        return self.optimum
+
+    def moves(
         self,
         network: AdaptiveNetwork,
         weights: Weights,
-        signals: Signals,
-        targets: Numbers,
+        passage: Passage,
+        errors: Numbers,
         counts: Counts,
-        learning: tuple[bool, ...],
-    ) -> Float[Array, "groups weights"]:
-        return _allocated(network, weights, self.optimum, signals, targets, counts, learning)
+    ) -> Moves:
+        del weights
+        return _allocated(network, self.optimum, passage, errors, counts)
 
 
 def check_sign_rank(inputs: Float[Array | np.ndarray, "patterns inputs"]) -> None:
