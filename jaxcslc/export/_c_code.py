@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from .._scratch import unfinished
 from ..codegen import Expressions, KernelText, Motion, Value
 from ..friction import checked_distance, state_after
-from ..network import CSLC, ExpressionFunctions, term_entries
+from ..network import CSLC, ExpressionFunctions
 from ._rigid_body import RigidBodies, rigid_bodies
 
 
@@ -29,7 +29,7 @@ def input_entries(
         states = contacts if term.kind == "dry" else {}
         entries += [
             (joint, indices[i], states.get(joint, value))
-            for joint, i, value in term_entries(term, motion)
+            for joint, i, value in term.entries(motion)
         ]
     return entries
 

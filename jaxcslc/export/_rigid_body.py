@@ -158,15 +158,9 @@ def _one_by_one(robot: Manipulator, motion: Motion) -> RecursiveBodies:
     """Bodies whose coefficients are ten numbers of each link, then the motors' inertias."""
     n, size = robot.joint_count, len(BODY)
     unit = tuple(map(tuple, np.eye(size).tolist()))
-    return RecursiveBodies(
-        motion=motion,
-        joints=robot.joints,
-        parents=tuple(robot.parents),
-        gravity=robot.gravity,
-        body=(unit,) * n,
-        indices=tuple(tuple(range(size * i, size * (i + 1))) for i in range(n)),
-        motors=tuple((i, size * n + i) for i in range(n)),
-    )
+    indices = tuple(tuple(range(size * i, size * (i + 1))) for i in range(n))
+    motors = tuple((i, size * n + i) for i in range(n))
+    return RigidBodyRecursion.of_bodies(robot, (unit,) * n, indices, motors).expressed(motion)
 
 
 def body_numbers(network: CSLC, k: Float[np.ndarray, " coefficients"]) -> list[float] | None:

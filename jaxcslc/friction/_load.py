@@ -145,7 +145,7 @@ def linearised(
     for term in terms:
         magnitudes = k[network.layout.of(term)]
         factors += np.asarray(term.factors(jnp.asarray(magnitudes)))
-        columns = term.with_load(load).columns(*motion)
+        columns = dataclasses.replace(term, load=load).columns(*motion)
         for joint in term.joints:
             friction[:, joint] += magnitudes[list(term.support[joint])] @ np.asarray(columns[joint])
     rigid = LoadedRigidBody.of(terms[0].rigid, load, factors)

@@ -25,7 +25,6 @@ from ..network import (
     Columns,
     Joints,
     JointTerm,
-    Matrices,
     Regressor,
     Rows,
 )
@@ -160,14 +159,8 @@ class YieldingFriction(AbstractManipulatorTerm):
     def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
         return self.dry.torque(k, q, self._velocity(qd), qdd) * self._size(qd)
 
-    def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
-        return self.dry.mass_matrix(k, q)
-
-    def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
-        return self.dry.velocity_term(k, q, qd)
-
-    def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
-        return self.dry.gravity_term(k, q)
+    def part(self, quantity: str, k: Coefficients, *motion: Joints) -> Float[Array, "..."]:
+        return self.dry.part(quantity, k, *motion)
 
     def _velocity(self, qd: Joints) -> Joints:
         """Return the velocity with the sign of the state at joints that have one."""

@@ -15,7 +15,7 @@ from ..codegen import (
     called_functions,
     derivatives,
 )
-from ..network import CSLC, ExpressionFunctions, JointTerm, StaticFriction
+from ..network import CSLC, ExpressionFunctions, JointTerm
 
 
 class FrictionCode(NamedTuple):
@@ -50,7 +50,7 @@ def friction_code(network: CSLC) -> FrictionCode:
     slopes = {
         joint
         for term in network.terms
-        if isinstance(term, JointTerm) and isinstance(term.law, StaticFriction)
+        if isinstance(term, JointTerm) and term.law.slopes is not None
         for joint in term.joints
     }
     return FrictionCode("\n\n".join(texts), tuple(indices), tuple(sorted(slopes)))
@@ -62,7 +62,7 @@ def _values(network: CSLC, joint: int, motion: Motion, slope: Value) -> Iterator
     for term in network.terms:
         if not isinstance(term, JointTerm) or joint not in term.joints:
             continue
-        known = isinstance(term.law, StaticFriction)
+        known = term.law.slopes is not None
         law = jax.tree.map(
             lambda x, known=known: slope if known else motion.graph.constant(float(x[joint])),
             term.law,

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..network import JAX_FUNCTIONS, AbstractJointLaw
+from ..network import JAX_FUNCTIONS, JointLaw
 
 
 Rows = Float[Array, "equations joints"]
@@ -16,7 +16,7 @@ SLOWEST = 1e-9
 
 
 def mean_inputs(
-    law: AbstractJointLaw,
+    law: JointLaw,
     q: Rows,
     velocity: Rows,
     change_before: Rows,

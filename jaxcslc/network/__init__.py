@@ -11,8 +11,7 @@ Modules, in reading order:
 
 - `_derive`: `derive`, which chooses lengths and evaluator.
 - `_linear_network`: what any network that is linear in its coefficients offers.
-- `_term_sum`: the inverse dynamics of a robot as a sum of terms.
-- `_cslc`: the network of one robot, and its variants (payload, other friction laws).
+- `_cslc`: the network of one robot: M, V, G, friction, and its variants (payload, other laws).
 - `_layout`: which entries of `k` belong to which term, and their values for known links.
 - `terms`: rigid body, friction, springs, coupled joints, payload.
 """
@@ -21,17 +20,16 @@ from ._cslc import CSLC as CSLC
 from ._derive import derive as derive
 from ._layout import Layout as Layout
 from ._linear_network import AbstractLinearNetwork as AbstractLinearNetwork
-from ._term_sum import AbstractTermSum as AbstractTermSum
 from .terms import (
     DIRECTIONAL_LOAD as DIRECTIONAL_LOAD,
     JAX_FUNCTIONS as JAX_FUNCTIONS,
+    JOINT_LAWS as JOINT_LAWS,
     LOAD as LOAD,
     PARTS as PARTS,
     PAYLOAD as PAYLOAD,
     AbstractExpressedBodies as AbstractExpressedBodies,
     AbstractFunctions as AbstractFunctions,
     AbstractInputTerm as AbstractInputTerm,
-    AbstractJointLaw as AbstractJointLaw,
     AbstractManipulatorTerm as AbstractManipulatorTerm,
     AbstractTerm as AbstractTerm,
     ClosedForm as ClosedForm,
@@ -39,6 +37,7 @@ from .terms import (
     Columns as Columns,
     CoupledTerm as CoupledTerm,
     ExpressionFunctions as ExpressionFunctions,
+    JointLaw as JointLaw,
     JointProjection as JointProjection,
     Joints as Joints,
     JointTerm as JointTerm,
@@ -51,32 +50,29 @@ from .terms import (
     RigidBodyRecursion as RigidBodyRecursion,
     RigidBodyTables as RigidBodyTables,
     Rows as Rows,
-    StaticFriction as StaticFriction,
     carrier as carrier,
     code as code,
     input_rows as input_rows,
     nested as nested,
-    term_entries as term_entries,
 )
 
 
 __all__ = [
     "CSLC",
     "JAX_FUNCTIONS",
+    "JOINT_LAWS",
     "PAYLOAD",
     "AbstractFunctions",
     "AbstractInputTerm",
-    "AbstractJointLaw",
     "AbstractLinearNetwork",
     "AbstractManipulatorTerm",
     "AbstractTerm",
-    "AbstractTermSum",
+    "JointLaw",
     "JointTerm",
     "LawProperties",
     "Layout",
     "RigidBodyRecursion",
     "RigidBodyTables",
-    "StaticFriction",
     "carrier",
     "derive",
     "input_rows",

@@ -5,108 +5,55 @@ Counts and orders are those of the thesis (4.2, 5.1, 5.2.5).
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..codegen import Motion, Value
 from ..derivation import Algebra, constant_values, derive_algebra
-from ..manipulator import LinkParameters, Manipulator
+from ..manipulator import JointLimits, LinkParameters, Manipulator
 from ._layout import coefficient_values
-from ._term_sum import AbstractTermSum
+from ._linear_network import AbstractLinearNetwork, Vector
 from .terms import (
+    JOINT_LAWS,
+    PARTS,
     AbstractInputTerm,
     AbstractManipulatorTerm,
     AbstractRigidBody,
+    CoupledTerm,
     JointProjection,
     JointTerm,
     LoadFriction,
     ProjectedTerm,
-    StaticFriction,
+    RigidBodyTables,
     carrier,
-    input_terms,
     payload_term,
-    term_entries,
 )
 
 
-def counts_of(
-    algebra: Algebra, terms: Sequence[AbstractInputTerm], carrying_link: int | None
-) -> dict[str, dict[str, int]]:
-    """Size of each subnetwork: inputs, links and coefficients (thesis 5.1, Appendix B).
-
-    - `algebra`: of the rigid body; `terms`: of everything beside it.
-    - `carrying_link`: of a payload, counted from 1; None without one.
-    """
-    counts = _rigid_body_counts(algebra)
-    for term in terms:
-        n = len(term.input_joints)
-        nodes = len(set(term.input_joints))
-        counts[term.kind] = {"inputs": n, "links": n, "nodes": nodes, "coefficients": term.size}
-    for payload in _payload_algebra(algebra, carrying_link):
-        parts = _rigid_body_counts(payload).values()
-        total = {name: sum(part[name] for part in parts) for name in ("inputs", "links", "nodes")}
-        counts["payload"] = total | {"coefficients": len(payload.coefficients)}
-    return counts
-
-
-def order_per_joint(
-    algebra: Algebra, terms: Sequence[AbstractInputTerm], carrying_link: int | None
-) -> tuple[int, ...]:
-    """Count the independent coefficients that each joint's torque depends on (thesis 4.2, 5.2.5).
-
-    For a network whose output is linear in its coefficients and whose hidden nodes feed one
-    context-sensitive product each, the order of an output is the number of coefficients that
-    reach it. Arguments as of `counts_of`.
-    """
-    projection, n = JointProjection.of(algebra.robot), algebra.robot.joint_count
-    moved = [[i] for i in range(n)]
-    if projection is not None:
-        moved = [[joint for joint, _ in shares] for shares in projection.shares]
-    orders = [0] * len(moved)
-    for rigid in (algebra, *_payload_algebra(algebra, carrying_link)):
-        reach: list[set[int]] = [set() for _ in range(n)]
-        for link in rigid.mass.links:
-            for joint in rigid.mass.columns[link.column]:
-                reach[joint] |= {index for index, _ in link.weights}
-        for table in (rigid.velocity, rigid.gravity):
-            for link in table.links:
-                reach[table.columns[link.column][0]] |= {index for index, _ in link.weights}
-        for output, joints in enumerate(moved):
-            orders[output] += len({index for joint in joints for index in reach[joint]})
-    for term in terms:
-        for joint in term.input_joints:
-            orders[joint] += 1
-    return tuple(orders)
-
-
-def _payload_algebra(algebra: Algebra, carrying_link: int | None) -> tuple[Algebra, ...]:
-    """The closed form of a payload's torque in base parameters; empty without a payload."""
-    if carrying_link is None:
-        return ()
-    return (derive_algebra(carrier(algebra.robot, carrying_link), "numeric"),)
-
-
-def _rigid_body_counts(algebra: Algebra) -> dict[str, dict[str, int]]:
-    tables = {name: getattr(algebra, name) for name in ("mass", "velocity", "gravity")}
-    return {
-        name: {
-            "inputs": len(table.inputs),
-            "links": len(table.links),
-            "nodes": len(table.columns),
-            "coefficients": len(table.coefficients),
-        }
-        for name, table in tables.items()
-    }
+Numbers = Float[Array | np.ndarray, "... joints"]
+Entry = TypeVar("Entry")
 
 
 # One number a joint, two for either direction, or three a pair of coupled joints.
 FrictionValues = Sequence[float] | Sequence[Sequence[float]] | Float[Array | np.ndarray, "..."]
 
 
-class CSLC(AbstractTermSum):
+def input_terms(
+    robot: Manipulator, rigid: AbstractRigidBody | ProjectedTerm
+) -> tuple[AbstractInputTerm, ...]:
+    """The terms of the robot's friction model, in its order, then those of coupled joints, and
+    last the friction that follows the torque of `rigid`, links and motors."""
+    laws = [JOINT_LAWS[kind] for kind in robot.friction_terms]
+    joint_terms = [JointTerm.of(law, robot) for law in laws if law.properties.needs != "torque"]
+    return (*joint_terms, *CoupledTerm.all_of(robot), *LoadFriction.all_of(robot, rigid))
+
+
+class CSLC(AbstractLinearNetwork):
     """A Context-Sensitive Linear Combiner: the inverse dynamics of one robot, linear in `k`.
 
         M(q) qdd + V(q, qd) + G(q) + F(qd) = torque        (Eqn. 2.5-2)
@@ -137,6 +84,56 @@ class CSLC(AbstractTermSum):
         return self.algebra.robot
 
     @property
+    def name(self) -> str:
+        """The robot's name."""
+        return self.robot.name
+
+    @property
+    def output_kind(self) -> str:
+        return "joint"
+
+    @property
+    def output_quantity(self) -> str:
+        return "torque"
+
+    @property
+    def output_labels(self) -> tuple[str, ...]:
+        """The joints' names, where the robot has such, or else `"1"` to `"n"`."""
+        if self.robot.has_joint_names:
+            return self.output_names
+        return tuple(str(joint + 1) for joint in self.robot.independent_joints)
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The joints' names, or `"joint 1"` to `"joint n"`."""
+        return self._of_independent(self.robot.joint_names)
+
+    @property
+    def output_units(self) -> tuple[str, ...]:
+        """Units of the joints' torques."""
+        return self._of_independent(self.robot.torque_units)
+
+    @property
+    def motion_count(self) -> int:
+        """Number of columns of the motion: one per joint, except joints that follow others."""
+        return len(self.robot.independent_joints)
+
+    @property
+    def joint_kinds(self) -> str:
+        """Kinds of the joints that have torques, as in `"RRPRRR"`."""
+        return "".join(self._of_independent(self.robot.kinds))
+
+    @property
+    def joint_limits(self) -> tuple[JointLimits, ...]:
+        """Limits of each of these joints according to the robot's file."""
+        return self._of_independent(self.robot.joint_limits)
+
+    @property
+    def friction_per_joint(self) -> tuple[tuple[str, ...], ...]:
+        """The friction terms of each of these joints."""
+        return self._of_independent(self.robot.friction_per_joint)
+
+    @property
     def known_values(self) -> Mapping[str, float]:
         """Values of the coefficients that are made of known masses alone, by name (C.1.2).
 
@@ -154,6 +151,77 @@ class CSLC(AbstractTermSum):
         symbolic = any(addend.constants for x in known for addend in x.addends)
         constants = constant_values(self.robot) if symbolic else {}
         return {x.name: x.known_value(constants) for x in known}
+
+    def positions_of_all_joints(self, q: Numbers) -> Float[Array | np.ndarray, "... all_joints"]:
+        """Positions of all the robot's joints, those included that follow others."""
+        projection = JointProjection.of(self.robot)
+        return q if projection is None else projection.positions(q)
+
+    def mass_matrix(self, k: Vector, q: Numbers) -> Float[Array, "..."]:
+        """M(q), (..., n, n), motor inertias included (Eqn. 2.5-6) [kg m²]."""
+        k, q = self._checked(k, q)
+        shape = (*q.shape, self.joint_count)
+        return self._part("mass", k, lambda term, k: term.part("mass_matrix", k, q), shape)
+
+    def velocity_term(self, k: Vector, q: Numbers, qd: Numbers) -> Float[Array, "..."]:
+        """V(q, qd): centrifugal and Coriolis torques (Eqn. 2.4-6), (..., n) [N m]."""
+        k, q, qd = self._checked(k, q, qd)
+        return self._part("velocity", k, lambda term, k: term.part("velocity", k, q, qd), q.shape)
+
+    def gravity_term(self, k: Vector, q: Numbers) -> Float[Array, "..."]:
+        """G(q): the gravity effect vector (Eqn. 2.4-7), (..., n) [N m]."""
+        k, q = self._checked(k, q)
+        return self._part("gravity", k, lambda term, k: term.part("gravity", k, q), q.shape)
+
+    def friction_term(self, k: Vector, qd: Numbers) -> Float[Array, "..."]:
+        """F(qd): friction (Eqn. 2.5-3, 2.5-4) and torque offset, (..., n) [N m].
+
+        Without what follows the load, which is no function of velocities alone.
+        """
+        k, qd = self._checked(k, qd)
+        still = jnp.zeros_like(qd)
+        return self._part("friction", k, lambda term, k: term.torque(k, still, qd, still), qd.shape)
+
+    def spring_term(self, k: Vector, q: Numbers) -> Float[Array, "..."]:
+        """S(q): torques of joint springs, stiffness times position, (..., n) [N m]."""
+        k, q = self._checked(k, q)
+        still = jnp.zeros_like(q)
+        return self._part("spring", k, lambda term, k: term.torque(k, q, still, still), q.shape)
+
+    def forward_dynamics(
+        self, k: Vector, q: Numbers, qd: Numbers, tau: Numbers
+    ) -> Float[Array, "..."]:
+        """Accelerations that torques `tau` (..., n) produce, (..., n) [rad/s²].
+
+        Solves M qdd = tau - V - G - F - S. Not finite where M is singular, which it is for no
+        possible mass distribution. Friction that follows the load depends on accelerations, by
+        the sign of the load: the signs are searched for, which is exact at once where the load is
+        that of `k`.
+        """
+        k, q, qd, tau = self._checked(k, q, qd, tau)
+        still, loads = jnp.zeros_like(q), self.load_terms
+        plain = [term for term in self.terms if not isinstance(term, LoadFriction)]
+        bias = self._sum(plain, k, lambda term, k: term.torque(k, q, qd, still), q.shape)
+        mass = self.mass_matrix(k, q)
+        for term in loads:
+            factors = term.factors(k[self.layout.of(term)])
+            mass, bias = term.on_the_left(factors, q, qd, tau, mass, bias)
+        return jnp.linalg.solve(mass, (tau - bias)[..., None])[..., 0]
+
+    def without_friction(self, k: Vector) -> Float[Array, " coefficients"]:
+        """The coefficients of the same robot without friction: those of friction set to zero.
+
+        Springs and the inertia that coupled joints share stay.
+
+        >>> import jax.numpy as jnp, jaxcslc as jc
+        >>> network = jc.derive(jc.puma560())
+        >>> float(network.without_friction(jnp.ones(43)).sum())  # 6 viscous and 6 dry less
+        31.0
+        """
+        mask = np.ones(self.size)
+        mask[self.layout.friction] = 0.0
+        k = jnp.asarray(k)
+        return k * jnp.asarray(mask, k.dtype)
 
     @property
     def rigid_body(self) -> AbstractRigidBody:
@@ -189,12 +257,9 @@ class CSLC(AbstractTermSum):
         """
         for term in self.terms:
             indices = self.layout.indices(term.kind).tolist()
-            if isinstance(term, AbstractRigidBody):
-                entries = term.entries(motion)
-            else:
-                assert isinstance(term, AbstractInputTerm)
-                entries = term_entries(term, motion)
-            yield from ((joint, indices[index], value) for joint, index, value in entries)
+            assert isinstance(term, AbstractRigidBody | AbstractInputTerm)
+            for joint, index, value in term.entries(motion):
+                yield joint, indices[index], value
 
     def coefficients_from(
         self,
@@ -233,8 +298,8 @@ class CSLC(AbstractTermSum):
     @property
     def static_slopes(self) -> Float[Array | np.ndarray, "..."] | None:
         """(n,) of each joint's static friction [s/rad or s/m]; None without static friction."""
-        law = self._static_friction
-        return None if law is None else law.slopes
+        laws = (term.law for term in self.terms if isinstance(term, JointTerm))
+        return next((law.slopes for law in laws if law.slopes is not None), None)
 
     def with_static_slopes(
         self, slopes: Sequence[float] | Float[Array | np.ndarray, " joints"]
@@ -256,16 +321,14 @@ class CSLC(AbstractTermSum):
         >>> round(float(jax.grad(friction)(jnp.array([2.0]))[0]), 4)  # -0.5 exp(-2 * 0.5)
         -0.1839
         """
-        if self._static_friction is None:
+        if self.static_slopes is None:
             raise ValueError(f"static slopes: {self.robot.name!r} has no static friction")
-        law = self._static_friction.with_slopes(slopes)
-        terms = tuple(
-            dataclasses.replace(term, law=law)
-            if isinstance(term, JointTerm) and term.law is self._static_friction
+        return self._with_terms(
+            term.with_slopes(slopes)
+            if isinstance(term, JointTerm) and term.law.slopes is not None
             else term
             for term in self.terms
         )
-        return CSLC(algebra=self.algebra, terms=terms)
 
     def without_law(self, kind: str, joints: Sequence[int]) -> "CSLC":
         """Return the network without a friction law, or a spring, of some joints, counted from 1.
@@ -283,15 +346,16 @@ class CSLC(AbstractTermSum):
             kinds = self.friction_per_joint[joint - 1]
             remaining = (other for other in kinds if other != kind)
             robot = robot.with_friction(*remaining, joint=independent[joint - 1] + 1)
+        changed = {term.kind: term for term in input_terms(robot, self._rigid_term)}
         terms: list[AbstractManipulatorTerm] = []
         for term in self.terms:
             if term.kind != kind:
                 terms.append(term)
-            elif isinstance(term, LoadFriction):
-                terms += LoadFriction.of(kind, robot, term.rigid, term.load)
+            elif isinstance(term, LoadFriction) and kind in changed:
+                terms.append(dataclasses.replace(changed[kind], load=term.load))
             elif isinstance(term, JointTerm) and (fewer := JointTerm.of(term.law, robot)).size:
                 terms.append(fewer)
-        return CSLC(algebra=dataclasses.replace(self.algebra, robot=robot), terms=tuple(terms))
+        return self._with_terms(terms, robot)
 
     def with_joint_friction(self, kinds: Sequence[Sequence[str]]) -> "CSLC":
         """Return the network with other friction laws, and springs, of its joints.
@@ -318,10 +382,7 @@ class CSLC(AbstractTermSum):
         robot = self.robot
         for joint, kinds_of_joint in zip(robot.independent_joints, kinds, strict=True):
             robot = robot.with_friction(*kinds_of_joint, joint=joint + 1)
-        return CSLC(
-            algebra=dataclasses.replace(self.algebra, robot=robot),
-            terms=(self.terms[0], *input_terms(robot, self._rigid_term)),
-        )
+        return self._with_terms((self.terms[0], *input_terms(robot, self._rigid_term)), robot)
 
     @property
     def load_terms(self) -> tuple[LoadFriction, ...]:
@@ -347,10 +408,10 @@ class CSLC(AbstractTermSum):
         if not self.load_terms:
             raise ValueError(f"load: {self.robot.name!r} has no friction of kind 'load'")
         load = None if k is None else k[self.layout.inertial]
-        terms = (
-            term.with_load(load) if isinstance(term, LoadFriction) else term for term in self.terms
+        return self._with_terms(
+            dataclasses.replace(term, load=load) if isinstance(term, LoadFriction) else term
+            for term in self.terms
         )
-        return CSLC(algebra=self.algebra, terms=tuple(terms))
 
     def without_load(self) -> "CSLC":
         """Return the network without load-dependent friction, if it has any."""
@@ -359,16 +420,29 @@ class CSLC(AbstractTermSum):
             network = network.without_law(term.kind, range(1, self.joint_count + 1))
         return network
 
+    def _of_independent(self, entries: Sequence[Entry]) -> tuple[Entry, ...]:
+        """Select, from entries of all the robot's joints, those of the joints that have torques."""
+        return tuple(entries[i] for i in self.robot.independent_joints)
+
+    def _part(
+        self, part: str, k: Array, share: Callable[[Any, Array], Array], shape: tuple[int, ...]
+    ) -> Array:
+        """The shares of the terms that belong to a sum of the equation of motion."""
+        return self._sum([term for term in self.terms if part in term.parts], k, share, shape)
+
     @property
     def _rigid_term(self) -> AbstractRigidBody | ProjectedTerm:
         rigid = self.terms[0]
         assert isinstance(rigid, AbstractRigidBody | ProjectedTerm)
         return rigid
 
-    @property
-    def _static_friction(self) -> StaticFriction | None:
-        laws = (term.law for term in self.terms if isinstance(term, JointTerm))
-        return next((law for law in laws if isinstance(law, StaticFriction)), None)
+    def _with_terms(
+        self, terms: Iterable[AbstractManipulatorTerm], robot: Manipulator | None = None
+    ) -> "CSLC":
+        algebra = self.algebra
+        if robot is not None:
+            algebra = dataclasses.replace(algebra, robot=robot)
+        return CSLC(algebra=algebra, terms=tuple(terms))
 
     def with_payload(self, link: int | None = None) -> "CSLC":
         """Return the network with a payload: a body rigidly attached to a link (thesis 8.2.4).
@@ -407,7 +481,7 @@ class CSLC(AbstractTermSum):
         payload = ProjectedTerm.of(
             payload_term(carrier(self.robot, link)), JointProjection.of(self.robot)
         )
-        return CSLC(algebra=self.algebra, terms=(*self.terms, payload))
+        return self._with_terms((*self.terms, payload))
 
     @property
     def carrying_link(self) -> int | None:
@@ -422,15 +496,37 @@ class CSLC(AbstractTermSum):
 
         Derives the closed-form tables if the network did not need them until now.
         """
-        return counts_of(self.algebra, self.input_terms, self.carrying_link)
+        counts = _rigid_body_counts(self.algebra)
+        for term in self.input_terms:
+            n, nodes = len(term.input_joints), len(set(term.input_joints))
+            counts[term.kind] = {"inputs": n, "links": n, "nodes": nodes, "coefficients": term.size}
+        for payload in self._payload_algebra:
+            parts = _rigid_body_counts(payload).values()
+            names = ("inputs", "links", "nodes")
+            total = {name: sum(part[name] for part in parts) for name in names}
+            counts["payload"] = total | {"coefficients": len(payload.coefficients)}
+        return counts
 
     @property
     def order_per_joint(self) -> tuple[int, ...]:
         """Number of coefficients that each joint's torque depends on, friction included (5.2.5).
 
-        Of a payload's ten, as many as the joint's torque can tell apart.
+        For a network whose output is linear in its coefficients and whose hidden nodes feed one
+        context-sensitive product each, the order of an output is the number of coefficients that
+        reach it (4.2). Of a payload's ten, as many as the joint's torque can tell apart.
         """
-        return order_per_joint(self.algebra, self.input_terms, self.carrying_link)
+        projection = JointProjection.of(self.robot)
+        rigid = (RigidBodyTables.from_algebra(x) for x in (self.algebra, *self._payload_algebra))
+        terms = *(ProjectedTerm.of(x, projection) for x in rigid), *self.input_terms
+        return tuple(
+            sum(map(len, of_terms)) for of_terms in zip(*(x.support for x in terms), strict=True)
+        )
+
+    @property
+    def _payload_algebra(self) -> tuple[Algebra, ...]:
+        """The closed form of a payload's torque in base parameters; empty without a payload."""
+        link = self.carrying_link
+        return () if link is None else (derive_algebra(carrier(self.robot, link), "numeric"),)
 
     @property
     def order(self) -> int:
@@ -449,3 +545,16 @@ class CSLC(AbstractTermSum):
             f"CSLC({self.robot.name}: {self.joint_count} joints, {self.size} coefficients:"
             f" {sizes}; {type(self.rigid_body).__name__})"
         )
+
+
+def _rigid_body_counts(algebra: Algebra) -> dict[str, dict[str, int]]:
+    tables = {name: getattr(algebra, name) for name in PARTS}
+    return {
+        name: {
+            "inputs": len(table.inputs),
+            "links": len(table.links),
+            "nodes": len(table.columns),
+            "coefficients": len(table.coefficients),
+        }
+        for name, table in tables.items()
+    }

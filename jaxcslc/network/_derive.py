@@ -8,14 +8,13 @@ from typing import Literal, cast
 
 from ..derivation import Algebra, Lengths, derive_algebra
 from ..manipulator import Manipulator, RobotError
-from ._cslc import CSLC
+from ._cslc import CSLC, input_terms
 from .terms import (
     AbstractRigidBody,
     JointProjection,
     ProjectedTerm,
     RigidBodyRecursion,
     RigidBodyTables,
-    input_terms,
 )
 
 

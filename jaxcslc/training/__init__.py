@@ -19,28 +19,32 @@ Modules, in reading order:
 - `_kernel` and its neighbours, `_cost_kernel`: CUDA kernels for many trainings side by side.
 """
 
-from ._activations import (
+from ._epoch import (
+    ENDINGS as ENDINGS,
+    OUTCOMES as OUTCOMES,
+    History as History,
+    Record as Record,
+    Training as Training,
+    TrainingState as TrainingState,
+)
+from ._examples import (
+    Examples as Examples,
+    NormalEquations as NormalEquations,
+    examples as examples,
+    normal_equations as normal_equations,
+    with_normal_equations as with_normal_equations,
+)
+from ._functions import (
     HARD_LIMITER as HARD_LIMITER,
     HYPERBOLIC_TANGENT as HYPERBOLIC_TANGENT,
     LINEAR_COMBINER as LINEAR_COMBINER,
     LOGISTIC as LOGISTIC,
     Activation as Activation,
-    decreasing as decreasing,
-)
-from ._compact import compact as compact
-from ._costs import (
     Cost as Cost,
+    decreasing as decreasing,
     half_rms as half_rms,
     half_square as half_square,
     mean_modulus as mean_modulus,
-)
-from ._epoch import Record as Record, TrainingState as TrainingState
-from ._examples import Examples as Examples, examples as examples
-from ._history import (
-    ENDINGS as ENDINGS,
-    OUTCOMES as OUTCOMES,
-    History as History,
-    Training as Training,
 )
 from ._kernel import batched_by as batched_by, summed_change as summed_change
 from ._kernel_statements import RuleStatements as RuleStatements, rule_statements as rule_statements
@@ -67,12 +71,6 @@ from ._networks import (
     signed_start as signed_start,
     subnetwork_masks as subnetwork_masks,
 )
-from ._normal_equations import (
-    NormalEquations as NormalEquations,
-    normal_equations as normal_equations,
-    with_normal_equations as with_normal_equations,
-)
-from ._peral import PERAL as PERAL, IdealPERAL as IdealPERAL, check_sign_rank as check_sign_rank
 from ._plan import (
     AbstractRates as AbstractRates,
     AdaptedRates as AdaptedRates,
@@ -81,11 +79,14 @@ from ._plan import (
     Schedule as Schedule,
     SwitchWhen as SwitchWhen,
 )
-from ._pruning import LinkEnds as LinkEnds, Pruning as Pruning, prune as prune
+from ._pruning import LinkEnds as LinkEnds, Pruning as Pruning, compact as compact, prune as prune
 from ._rules import (
+    PERAL as PERAL,
     AbstractRule as AbstractRule,
     Backpropagation as Backpropagation,
+    IdealPERAL as IdealPERAL,
     PerceptronRule as PerceptronRule,
+    check_sign_rank as check_sign_rank,
 )
 from ._train import train as train, training_steps as training_steps
 

@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..codegen import Kernel, kernels_run
-from ._activations import LINEAR_COMBINER
-from ._costs import Cost, ErrorSum, error_sum
+from ._functions import LINEAR_COMBINER, Cost, ErrorSum, error_sum
 from ._network import AdaptiveNetwork
 
 

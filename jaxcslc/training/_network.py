@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._activations import LINEAR_COMBINER, Activation
+from ._functions import LINEAR_COMBINER, Activation
 
 
 class Links:

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Key, Real
 from ..derivation import ProductTable
 from ..network import CSLC, JAX_FUNCTIONS, LOAD, AbstractLinearNetwork, input_rows
 from ..recordings import Patterns
-from ._activations import LINEAR_COMBINER, Activation, activation_named
+from ._functions import LINEAR_COMBINER, Activation, activation_named
 from ._network import AdaptiveNetwork, ContextLayer, Layer, Links, Signals, Subnetwork
 
 

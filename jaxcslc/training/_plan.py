@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ._costs import Cost, half_rms
 from ._examples import Examples
+from ._functions import Cost, half_rms
 from ._network import AdaptiveNetwork
 from ._rules import AbstractRule
 
@@ -420,6 +420,20 @@ class Turn(eqx.Module):
         return self.handed_over & (self.spent >= len(schedule.rules))
 
 
+def _schedule_of(schedule: Schedule | AbstractRule) -> Schedule:
+    return Schedule((schedule,)) if isinstance(schedule, AbstractRule) else schedule
+
+
+def _rates_of(rates: AbstractRates | Sequence[AbstractRates] | float) -> tuple[AbstractRates, ...]:
+    if isinstance(rates, float | int):
+        raise ValueError(f"rates: expected FixedRates({rates}) or AdaptedRates({rates})")
+    return (rates,) if isinstance(rates, AbstractRates) else tuple(rates)
+
+
+def _names_of(names: str | Sequence[str]) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
 class Plan(eqx.Module):
     """Plan of a training: rules and their turns, rates, cost, and what ends it.
 
@@ -442,50 +456,32 @@ class Plan(eqx.Module):
     - `divergence`: a cost above this many times the first has diverged.
     """
 
-    schedule: Schedule
-    rates: tuple[AbstractRates, ...]
-    cost: Cost = eqx.field(static=True)
-    order: Literal["batch", "sequential"] = eqx.field(static=True)
-    frozen: tuple[str, ...] = eqx.field(static=True)
-    target: Float[Array, "..."] | float
-    measure: Cost | None = eqx.field(static=True)
-    stop_patience: int = eqx.field(static=True)
-    patience: int = eqx.field(static=True)
-    divergence: float = eqx.field(static=True)
+    schedule: Schedule = eqx.field(converter=_schedule_of)
+    rates: tuple[AbstractRates, ...] = eqx.field(default=AdaptedRates(1e-3), converter=_rates_of)
+    cost: Cost = eqx.field(default=half_rms, static=True, kw_only=True)
+    order: Literal["batch", "sequential"] = eqx.field(default="batch", static=True, kw_only=True)
+    frozen: tuple[str, ...] = eqx.field(default=(), converter=_names_of, static=True, kw_only=True)
+    target: Float[Array, "..."] | float = eqx.field(default=0.0, kw_only=True)
+    measure: Cost | None = eqx.field(default=None, static=True, kw_only=True)
+    stop_patience: int = eqx.field(default=50, static=True, kw_only=True)
+    patience: int = eqx.field(default=500, static=True, kw_only=True)
+    divergence: float = eqx.field(default=1e3, static=True, kw_only=True)
 
-    def __init__(
-        self,
-        schedule: Schedule | AbstractRule,
-        rates: AbstractRates | Sequence[AbstractRates] | None = None,
-        *,
-        cost: Cost = half_rms,
-        order: Literal["batch", "sequential"] = "batch",
-        frozen: str | Sequence[str] = (),
-        target: Float[Array, "..."] | float = 0.0,
-        measure: Cost | None = None,
-        stop_patience: int = 50,
-        patience: int = 500,
-        divergence: float = 1e3,
-    ) -> None:
-        self.schedule = Schedule((schedule,)) if isinstance(schedule, AbstractRule) else schedule
+    def __check_init__(self) -> None:
         number = len(self.schedule.rules)
-        if isinstance(rates, float | int):
-            raise ValueError(f"rates: expected FixedRates({rates}) or AdaptedRates({rates})")
-        rates = AdaptedRates(1e-3) if rates is None else rates
-        rule_rates = (rates,) * number if isinstance(rates, AbstractRates) else tuple(rates)
-        if len(rule_rates) != number:
+        if len(self.rates) not in (1, number):
             raise ValueError(
-                f"rates: expected one for each of {number} rules, got {len(rule_rates)}"
+                f"rates: expected one for each of {number} rules, got {len(self.rates)}"
             )
-        if order not in ("batch", "sequential"):
-            raise ValueError(f"order: expected 'batch' or 'sequential', got {order!r}")
-        if patience < 1 or stop_patience < 1:
+        if self.order not in ("batch", "sequential"):
+            raise ValueError(f"order: expected 'batch' or 'sequential', got {self.order!r}")
+        if self.patience < 1 or self.stop_patience < 1:
             raise ValueError("patience, stop_patience: expected at least one epoch")
-        names = (frozen,) if isinstance(frozen, str) else tuple(frozen)
-        self.rates = rule_rates
-        self.cost, self.order, self.frozen = cost, order, names
-        self.target, self.measure = target, measure
-        self.stop_patience, self.patience, self.divergence = stop_patience, patience, divergence
+
+    @property
+    def rule_rates(self) -> tuple[AbstractRates, ...]:
+        """The rates of each rule."""
+        return self.rates * len(self.schedule.rules) if len(self.rates) == 1 else self.rates
 
     def learning(self, network: AdaptiveNetwork) -> tuple[bool, ...]:
         """Return whether each adaptive layer learns, in the order of `network.groups`.
@@ -514,7 +510,7 @@ class Plan(eqx.Module):
         """
         learning, groups = self.learning(network), network.groups
         rows: list[Array] = []
-        for rates in self.rates:
+        for rates in self.rule_rates:
             start = jnp.asarray(rates.start, float)
             if start.shape not in ((), (len(groups),)):
                 raise ValueError(

@@ -1,19 +1,21 @@
 """Pruning: removal of links that a network's training-set error does not need (thesis 3.6.2).
 
-`_compact` builds the smaller network.
+`prune` decides which weights go. `compact` builds the smaller network: it removes their links, and
+the nodes and inputs that nothing passes through any more.
 """
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ._compact import compact
-from ._network import AdaptiveNetwork
+from ._network import AdaptiveNetwork, ContextLayer, Layer, Links, Signals, Subnetwork
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,8 +99,6 @@ def prune(
     args: tuple[Any, ...] = (),
     tested: Bool[np.ndarray, " tested"] | None = None,
     passes: int | None = None,
-    block: int = 64,
-    progress: Callable[[int, int], None] | None = None,
 ) -> Pruning:
     """Remove the links to which a network's training-set error is not sensitive (3.6.2).
 
@@ -115,8 +115,6 @@ def prune(
     Passes end when no link can go alone any more. The thesis describes a single pass in no stated
     order; `passes=1` is that.
 
-    Costs are evaluated in blocks by `vmap`, with the result of one evaluation after the other.
-
     **Arguments**
 
     - `cost`: weights (p,), and `args`, to a scalar: the error of the training set. Anything that
@@ -130,15 +128,12 @@ def prune(
     - `tested`: (p,) which weights may be removed for themselves, by default all. The others, of
       which zero does not mean 'no link' (centres, widths), go with their node.
     - `passes`: at most so many; by default as many as it takes.
-    - `block`: how many costs are evaluated at a time, each with activations of its own in memory.
-    - `progress`: called after each block with the number of removals tried so far, and the number
-      of weights removed.
 
     **Returns** a `Pruning`.
 
     **Raises**
 
-    - `ValueError`: a tolerance, block or number of passes that makes no sense, arrays that do not
+    - `ValueError`: a tolerance or number of passes that makes no sense, arrays that do not
       fit the weights, a cost that is no scalar or not finite, or nothing to test.
 
     >>> import jax.numpy as jnp, numpy as np
@@ -155,12 +150,14 @@ def prune(
     """
     start = np.asarray(weights, dtype=float)
     may_go = np.ones(start.size, dtype=bool) if tested is None else tested
-    _check(start.size, links, may_go, tolerance, passes, block)
-    trials = _Trials(cost, np.asarray(weights), args, block, progress)
+    _check(start.size, links, may_go, tolerance, passes)
     network = _Wiring(links)
 
+    def costs(kept: Bool[np.ndarray, "sets p"]) -> Float[np.ndarray, " sets"]:
+        return np.asarray(_costs(cost, kept, jnp.asarray(weights), args), float)
+
     kept = np.ones(start.size, dtype=bool)
-    before = float(trials.costs(kept[None])[0])
+    before = float(costs(kept[None])[0])
     if not np.isfinite(before):
         raise ValueError(f"the cost before pruning is {before}; expected a finite number")
     limit = (1.0 + tolerance) * before
@@ -170,25 +167,26 @@ def prune(
     finished = False
     while not finished and (passes is None or done < passes):
         left = np.flatnonzero(kept & may_go)
-        alone = trials.costs(np.stack([network.without(kept, one) for one in left[:, None]]))
+        # Also without those that are gone, so that one program does for all passes.
+        alone = costs(np.stack([network.without(kept, i) for i in range(start.size)]))
         if done == 0:
-            sensitivity[left] = alone - before
+            sensitivity[left] = alone[left] - before
         done += 1
-        order = np.argsort(alone, kind="stable")
-        going = left[order][alone[order] <= limit]
-        for accepted in _walk(trials, network, kept, going, limit):
-            gone = np.flatnonzero(kept & ~accepted)
-            # The link itself before what went with its node.
-            removed += sorted(gone.tolist(), key=lambda i: not may_go[i])
-            kept = accepted
-            trials.removed = len(removed)
-        finished = going.size == 0 or not np.any(kept & may_go)
-    after = float(trials.costs(kept[None])[0])
+        order = left[np.argsort(alone[left], kind="stable")].tolist()
+        going = [one for one in order if alone[one] <= limit]
+        for one in going:
+            trial = network.without(kept, one)
+            # It may have gone with a node. A cost that is no number is marked.
+            if kept[one] and costs(trial[None])[0] <= limit:
+                gone = np.flatnonzero(kept & ~trial).tolist()
+                removed += sorted(gone, key=lambda i: not may_go[i])  # the link before its node's
+                kept = trial
+        finished = not going or not np.any(kept & may_go)
     return Pruning(
         kept,
         np.where(kept, start, 0.0),
         before,
-        after,
+        float(costs(kept[None])[0]),
         sensitivity,
         np.array(removed, dtype=int),
         network.gone(kept),
@@ -197,83 +195,23 @@ def prune(
     )
 
 
-def _walk(
-    trials: "_Trials",
-    network: "_Wiring",
-    kept: Bool[np.ndarray, " p"],
-    going: Int[np.ndarray, " going"],
-    limit: float,
-) -> Iterator[Bool[np.ndarray, " p"]]:
-    """Yield what is kept after each removal that is accepted, in the order of `going`.
-
-    The same as one trial after the other. After an acceptance a block tries the next links all
-    together: the first, the first two, the first three; all before the first marked increase
-    are accepted. After a marked increase a block tries the next links each alone, since what they
-    would be removed from stays the same until one is accepted.
-    """
-    together = True
-    while going.size:
-        some = going[: trials.block]
-        sets = [some[: i + 1] if together else some[i : i + 1] for i in range(some.size)]
-        masks = np.stack([network.without(kept, one) for one in sets])
-        marked = ~(trials.costs(masks) <= limit)  # a cost that is no number is marked
-        if together:
-            good = int(np.argmax(marked)) if np.any(marked) else some.size
-            for mask in masks[:good]:
-                if np.any(mask != kept):  # it may have gone with a node
-                    kept = mask
-                    yield kept
-            together = good == some.size
-            going = going[min(good + 1, some.size) :]
-        elif np.all(marked):
-            going = going[some.size :]
-        else:
-            first = int(np.argmin(marked))
-            if np.any(masks[first] != kept):
-                kept = masks[first]
-                yield kept
-            together = True
-            going = going[first + 1 :]
-
-
-class _Trials:
-    """Evaluates costs of many sets of links, a block at a time."""
-
-    def __init__(
-        self,
-        cost: Callable[..., Any],
-        weights: np.ndarray,
-        args: tuple[Any, ...],
-        block: int,
-        progress: Callable[[int, int], None] | None,
-    ) -> None:
-        self.cost, self.weights, self.args, self.block = cost, weights, args, block
-        self.progress = progress
-        self.tried, self.removed = 0, 0
-
-    def costs(self, kept: Bool[np.ndarray, "sets p"]) -> Float[np.ndarray, " sets"]:
-        values_of_blocks: list[np.ndarray] = []
-        for start in range(0, len(kept), self.block):
-            some = kept[start : start + self.block]
-            # Always whole blocks, so that one program does for all of them.
-            full = np.concatenate([some, np.repeat(some[-1:], self.block - len(some), axis=0)])
-            values = _costs(self.cost, np.where(full, self.weights, 0), self.args)
-            if values.shape != (self.block,):
-                raise ValueError(
-                    f"the cost has shape {values.shape[1:]}; expected a scalar for weights (p,)"
-                )
-            values_of_blocks.append(np.asarray(values, dtype=float)[: len(some)])
-            self.tried += len(some)
-            if self.progress is not None:
-                self.progress(self.tried, self.removed)
-        return np.concatenate(values_of_blocks)
+# Costs that are evaluated at a time, each with activations of its own in memory.
+_BLOCK = 64
 
 
 @functools.partial(jax.jit, static_argnums=0)
 def _costs(
-    cost: Callable[..., Any], weights: Float[Array | np.ndarray, "sets p"], args: Any
-) -> Array:
-    return jax.vmap(lambda one: cost(one, *args))(weights)
+    cost: Callable[..., Any], kept: Bool[Array | np.ndarray, "sets p"], weights: Array, args: Any
+) -> Float[Array, " sets"]:
+    def of_links(left: Array) -> Array:
+        value = jnp.asarray(cost(jnp.where(left, weights, 0), *args))
+        if value.shape != ():
+            raise ValueError(
+                f"the cost has shape {value.shape}; expected a scalar for weights (p,)"
+            )
+        return value
+
+    return jax.lax.map(of_links, kept, batch_size=_BLOCK)
 
 
 class _Wiring:
@@ -295,10 +233,8 @@ class _Wiring:
     def _dead(self, kept: Bool[np.ndarray, " p"]) -> Bool[np.ndarray, " nodes"]:
         return self.hidden & (np.bincount(self.source[kept], minlength=self.nodes.size) == 0)
 
-    def without(
-        self, kept: Bool[np.ndarray, " p"], gone: Int[np.ndarray, " gone"]
-    ) -> Bool[np.ndarray, " p"]:
-        """Return what is kept when links go.
+    def without(self, kept: Bool[np.ndarray, " p"], gone: int) -> Bool[np.ndarray, " p"]:
+        """Return what is kept when a link goes.
 
         Nodes that this leaves without a link from them go too.
         """
@@ -321,17 +257,240 @@ def _check(
     tested: Bool[np.ndarray, " tested"],
     tolerance: float,
     passes: int | None,
-    block: int,
 ) -> None:
     if not 0.0 <= tolerance < np.inf:
         raise ValueError(f"tolerance is {tolerance}; expected a finite number, 0 or more")
     if passes is not None and passes < 1:
         raise ValueError(f"{passes} passes; expected 1 or more, or None")
-    if block < 1:
-        raise ValueError(f"block is {block}; expected 1 or more")
     if links is not None and links.source.size != size:
         raise ValueError(f"links of {links.source.size} weights; expected {size}")
     if tested.size != size:
         raise ValueError(f"tested has {tested.size} entries; expected {size}")
     if not np.any(tested):
         raise ValueError("no weight may be removed; expected some to be tested")
+
+
+# Of links or units, which are left.
+_Left = Bool[np.ndarray, " _"]
+
+
+def compact(
+    network: AdaptiveNetwork,
+    weights: Float[Array | np.ndarray, " _"],
+    kept: Bool[Array | np.ndarray, " _"],
+) -> tuple[AdaptiveNetwork, Float[Array, " left"]]:
+    """Return the network without the links of weights that are not kept (thesis 3.6.2).
+
+    The smaller network answers what the given one answers with zeros for the weights that are not
+    kept. A node goes with all its links if no link leads from it to an output, or if it always
+    answers zero. Inputs, contexts and subnetworks that nothing reads go, too. Names of weights and
+    subnetworks carry over. A CSLC loses the links of a coefficient in every subnetwork; the
+    derivation is as it was.
+
+    **Arguments**
+
+    - `network`: p weights.
+    - `weights`: (p,).
+    - `kept`: (p,) False where a weight is pruned.
+
+    **Returns** the smaller network, and the weights that are left in it, (q,).
+
+    **Raises** `ValueError` for other shapes, or if no link that is left leads to an output.
+
+    >>> import jax.numpy as jnp, numpy as np
+    >>> from jaxcslc.training import compact, fully_connected
+    >>> network = fully_connected([2, 3, 1], ["hyperbolic tangent", "linear combiner"])
+    >>> kept = np.ones(network.size, bool)
+    >>> kept[[9, 11]] = False  # the links from hidden nodes 1 and 3 to the output
+    >>> smaller, weights = compact(network, jnp.ones(network.size), kept)
+    >>> smaller.names
+    ('layer 1, node 2, input 1', 'layer 1, node 2, input 2', 'layer 1, node 2, bias', \
+'layer 2, node 1, input 2', 'layer 2, node 1, bias')
+    """
+    values, left = jnp.asarray(weights), np.asarray(kept, bool)
+    if values.shape != (network.size,) or left.shape != (network.size,):
+        raise ValueError(
+            f"weights, kept: expected shape ({network.size},), got {values.shape} and {left.shape}"
+        )
+    parts = [_Part(subnetwork, left) for subnetwork in network.subnetworks]
+    alive = [at for at, part in enumerate(parts) if part.reaches_an_output]
+    if not alive:
+        raise ValueError("kept: no link that is left leads from an input or a bias to an output")
+    used = np.unique(np.concatenate([parts[at].weights for at in alive]))
+    number = np.zeros(network.size, int)
+    number[used] = np.arange(len(used))
+    smaller = AdaptiveNetwork(
+        tuple(parts[at].rebuilt(number) for at in alive),
+        _Selected(network.preprocess, tuple((at, *parts[at].rows) for at in alive)),
+        network.activation,
+        tuple(network.names[index] for index in used),
+    )
+    return smaller, values[used]
+
+
+class _Selected(eqx.Module):
+    """The part of the signals that a smaller network takes.
+
+    **Attributes**
+
+    - `preprocess`: of the network that it was.
+    - `rows`: for each subnetwork its index, its rows of inputs, and those of each context layer.
+    """
+
+    preprocess: Callable[[Any], Signals]
+    rows: tuple[tuple[int, tuple[int, ...], tuple[tuple[int, ...], ...]], ...] = eqx.field(
+        static=True
+    )
+
+    def __call__(self, patterns: Any) -> Signals:
+        signals = self.preprocess(patterns)
+        return Signals(
+            tuple(signals.inputs[at][np.array(rows)] for at, rows, _ in self.rows),
+            tuple(
+                tuple(
+                    context[np.array(rows)]
+                    for context, rows in zip(signals.contexts[at], of_contexts, strict=True)
+                )
+                for at, _, of_contexts in self.rows
+            ),
+        )
+
+
+class _Chain:
+    """Adaptive layers in a row: which links and units are left.
+
+    - `links`: of every layer.
+    - `units`: the inputs, and the nodes of every layer.
+    """
+
+    def __init__(self, layers: Sequence[Layer], inputs: int, kept: _Left) -> None:
+        self.layers = layers
+        self.links = [kept[layer.links.weight] for layer in layers]
+        self.units = [np.ones(inputs, bool)]
+        for layer, left in zip(layers, self.links, strict=True):
+            left &= self._sources(layer, self.units[-1])[layer.links.source]
+            of_zero = float(layer.activation.value(jnp.zeros(())))
+            answering = np.full(layer.links.nodes, of_zero != 0)
+            answering[layer.links.node[left]] = True
+            self.units.append(answering)
+
+    def need(self, outputs: _Left) -> None:
+        """Leave what leads to the outputs that are needed."""
+        self.units[-1] = outputs
+        for at in reversed(range(len(self.layers))):
+            links, left = self.layers[at].links, self.links[at]
+            left &= self.units[at + 1][links.node]
+            self.units[at] = _marked(links.source[left], links.inputs)[: self.layers[at].inputs]
+        self.units = [_one_at_least(units) for units in self.units]
+
+    @staticmethod
+    def _sources(layer: Layer, units: _Left) -> _Left:
+        return np.append(units, True) if layer.bias else units
+
+    @property
+    def weights(self) -> Iterable[Int[np.ndarray, " _"]]:
+        for layer, left in zip(self.layers, self.links, strict=True):
+            yield layer.links.weight[left]
+
+    def rebuilt(self, number: Int[np.ndarray, " weights"]) -> tuple[Layer, ...]:
+        """The layers with what is left; `number` is the new index of each weight."""
+        layers: list[Layer] = []
+        for at, (layer, left) in enumerate(zip(self.layers, self.links, strict=True)):
+            old = layer.links
+            bias = layer.bias and bool(np.any(old.source[left] == layer.inputs))
+            sources, nodes = self._sources(layer, self.units[at]), self.units[at + 1]
+            links = Links(
+                int(self.units[at].sum()) + bias,
+                int(nodes.sum()),
+                _renumbered(sources)[old.source[left]],
+                _renumbered(nodes)[old.node[left]],
+                number[old.weight[left]],
+                old.multiple[left],
+            )
+            layers.append(Layer(links, layer.activation, bias))
+        return tuple(layers)
+
+
+class _Part:
+    """A subnetwork: which of its links and units are left."""
+
+    def __init__(self, subnetwork: Subnetwork, kept: _Left) -> None:
+        self.subnetwork = subnetwork
+        self.values = _Chain(subnetwork.layers, subnetwork.layers[0].inputs, kept)
+        self.computing = [
+            _Chain(layer.layers, layer.context_inputs, kept) for layer in subnetwork.contexts
+        ]
+        # Forward: links that carry something. Units are the sources of each context layer.
+        self.links: list[_Left] = []
+        self.units: list[_Left] = []
+        answering = self.values.units[-1]
+        for layer, chain in zip(subnetwork.contexts, self.computing, strict=True):
+            self.units.append(answering)
+            self.links.append(
+                answering[_array(layer.source)] & chain.units[-1][_array(layer.context)]
+            )
+            answering = _marked(_array(layer.node)[self.links[-1]], layer.nodes)
+        last = self.links[-1] if self.links else self.values.links[-1]
+        self.reaches_an_output = bool(np.any(last))
+        # Back: links that lead to an output. All outputs stay.
+        needed = np.ones(subnetwork.outputs, bool)
+        self.units.append(needed)
+        for at in reversed(range(len(self.links))):
+            layer, left = subnetwork.contexts[at], self.links[at]
+            left &= needed[_array(layer.node)]
+            self.computing[at].need(_marked(_array(layer.context)[left], layer.contexts))
+            needed = _marked(_array(layer.source)[left], layer.inputs)
+            self.units[at] = _one_at_least(needed)
+        self.values.need(needed)
+
+    @property
+    def weights(self) -> Int[np.ndarray, " _"]:
+        """Indices of the weights of the remaining links, one per link."""
+        chains = [self.values, *self.computing]
+        return np.concatenate([weights for chain in chains for weights in chain.weights])
+
+    @property
+    def rows(self) -> tuple[tuple[int, ...], tuple[tuple[int, ...], ...]]:
+        """Indices of the remaining inputs, and of the remaining values of each context layer."""
+        first, *others = (
+            tuple(np.flatnonzero(chain.units[0]).tolist())
+            for chain in (self.values, *self.computing)
+        )
+        return first, tuple(others)
+
+    def rebuilt(self, number: Int[np.ndarray, " weights"]) -> Subnetwork:
+        contexts: list[ContextLayer] = []
+        for at, layer in enumerate(self.subnetwork.contexts):
+            chain, left = self.computing[at], self.links[at]
+            ends = (
+                (self.units[at], layer.source),
+                (self.units[at + 1], layer.node),
+                (chain.units[-1], layer.context),
+            )
+            source, node, context = (
+                tuple(_renumbered(units)[_array(indices)[left]].tolist()) for units, indices in ends
+            )
+            inputs, nodes, values = (int(units.sum()) for units, _ in ends)
+            computing = chain.rebuilt(number)
+            contexts.append(ContextLayer(inputs, nodes, values, source, node, context, computing))
+        return Subnetwork(self.subnetwork.name, self.values.rebuilt(number), tuple(contexts))
+
+
+def _array(indices: Sequence[int]) -> Int[np.ndarray, " _"]:
+    return np.array(indices, int)
+
+
+def _marked(indices: Int[np.ndarray, " _"], size: int) -> _Left:
+    marks = np.zeros(size, bool)
+    marks[indices] = True
+    return marks
+
+
+def _one_at_least(units: _Left) -> _Left:
+    """A layer has a unit, be it one without links, where a bias alone is left behind it."""
+    return units if units.any() else _marked(np.zeros(1, int), len(units))
+
+
+def _renumbered(units: _Left) -> Int[np.ndarray, " _"]:
+    """The new index of each unit that is left."""
+    return np.cumsum(units) - 1

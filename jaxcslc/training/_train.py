@@ -14,12 +14,10 @@ from tqdm import tqdm
 
 from .._environment import platform_of, require_float64
 from .._scratch import unfinished
-from ._epoch import Record, TrainingState, epoch
-from ._examples import Examples
-from ._history import OUTCOMES, History, Training
+from ._epoch import OUTCOMES, History, Record, Training, TrainingState, epoch
+from ._examples import Examples, NormalEquations
 from ._kernel import kernel_of
 from ._network import AdaptiveNetwork
-from ._normal_equations import NormalEquations
 from ._plan import Plan, Schedule
 from ._rules import AbstractRule
 

@@ -7,8 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from jaxcslc.likelihood._friction_mean import mean_inputs
-from jaxcslc.network import StaticFriction
-from jaxcslc.network.terms._friction_laws import Viscous
+from jaxcslc.network import JOINT_LAWS
 
 
 SLOPE = 3.0
@@ -39,7 +38,7 @@ def dense(velocity: float, change: float, turn: float, direction: float, share: 
 @pytest.mark.parametrize("turn", [-1.0, -0.4, 0.0, 0.3, 0.999])
 @pytest.mark.parametrize("direction", [-1.0, 1.0])
 def test_it_is_the_mean_over_both_intervals(turn: float, direction: float) -> None:
-    law = StaticFriction(np.array([SLOPE]))
+    law = JOINT_LAWS["static"].with_slopes(np.array([SLOPE]))
     change = 0.2 * direction
     velocity = 0.5 * direction if turn == -1.0 else -turn * change
     for share in (0.5, 0.3):
@@ -50,11 +49,11 @@ def test_it_is_the_mean_over_both_intervals(turn: float, direction: float) -> No
 
 
 def test_away_from_reversals_viscous_friction_is_that_of_the_mean_velocity() -> None:
-    assert_allclose(averaged(Viscous(), 0.7, 0.1, -1.0, 1.0), 0.7, rtol=1e-14)
+    assert_allclose(averaged(JOINT_LAWS["viscous"], 0.7, 0.1, -1.0, 1.0), 0.7, rtol=1e-14)
 
 
 def test_it_is_smooth_in_the_moment_of_the_turn() -> None:
-    law = StaticFriction(np.array([SLOPE]))
+    law = JOINT_LAWS["static"].with_slopes(np.array([SLOPE]))
 
     def of_turn(turn: jax.Array) -> jax.Array:
         one = jnp.ones((1, 1))

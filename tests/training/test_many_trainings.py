@@ -1,5 +1,6 @@
 """Many trainings at once: each as if it were alone, whatever the others do; compiled once."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -18,9 +19,9 @@ from jaxcslc.training import (
     Backpropagation,
     Examples,
     FixedRates,
+    Passage,
     Plan,
     Schedule,
-    Signals,
     Training,
     TrainingState,
     examples,
@@ -255,17 +256,16 @@ class Traced(AbstractRule):
     def check_network(self, network: AdaptiveNetwork) -> str | None:
         return None
 
-    def change(
+    def moves(
         self,
         network: AdaptiveNetwork,
         weights: Array,
-        signals: Signals,
-        targets: Array,
+        passage: Passage,
+        errors: Array,
         counts: Array,
-        learning: tuple[bool, ...],
-    ) -> Array:
+    ) -> Sequence[Array]:
         TRACES.append(self.name)
-        return Backpropagation().change(network, weights, signals, targets, counts, learning)
+        return Backpropagation().moves(network, weights, passage, errors, counts)
 
 
 def test_nothing_compiles_twice(problem: Problem, rng: np.random.Generator) -> None:

@@ -5,22 +5,11 @@ from functools import lru_cache
 from typing import Any
 
 import equinox as eqx
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Float
 
-from jaxcslc._environment import array_namespace
 from jaxcslc.derivation import Coefficient
 from jaxcslc.manipulator import Coupling, Manipulator, RobotError
 
-from ._input_term import (
-    HOST_FUNCTIONS,
-    JAX_FUNCTIONS,
-    AbstractFunctions,
-    AbstractInputTerm,
-    by_joint,
-)
-from ._term import Coefficients, Columns, Joints, Regressor, Rows
+from ._input_term import AbstractFunctions, AbstractInputTerm
 
 
 # Of each kind: the letters of its coefficients' names, what they are, units for revolute and
@@ -106,15 +95,6 @@ class CoupledTerm(AbstractInputTerm):
     def value_meaning(self) -> str:
         return "inertia, viscous and dry of each pair"
 
-    @property
-    def inertia_matrices(self) -> Float[np.ndarray, "coefficients joints joints"]:
-        matrices = np.zeros((self.size, self.joint_count, self.joint_count))
-        if self.kind == "coupled_inertia":
-            for matrix, pair in zip(matrices, self.pairs, strict=True):
-                i, j = pair.first - 1, pair.second - 1
-                matrix[i, j] = matrix[j, i] = pair.ratio
-        return matrices
-
     def inputs(
         self, functions: AbstractFunctions, q: Sequence[Any], qd: Sequence[Any], qdd: Sequence[Any]
     ) -> list[Any]:
@@ -134,38 +114,6 @@ class CoupledTerm(AbstractInputTerm):
                 motion = qdd if self.kind == "coupled_inertia" else qd
                 values += [ratio * motion[j], ratio * motion[i]]
         return values
-
-    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> Columns:
-        entries = self._entries(list(q), list(qd), list(qdd))
-        xp = array_namespace(q)
-        return tuple(
-            xp.stack([entries[joint, index] for index in support]) if support else q[:0]
-            for joint, support in enumerate(self.support)
-        )
-
-    def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
-        entries = self._entries(*(by_joint(x) for x in (q, qd, qdd)))
-        zero = jnp.zeros_like(q[..., 0])
-        rows = [
-            jnp.stack([entries.get((joint, p), zero) for p in range(self.size)], axis=-1)
-            for joint in range(self.joint_count)
-        ]
-        return jnp.stack(rows, axis=-2)
-
-    def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
-        total = [jnp.zeros_like(q[..., 0])] * self.joint_count
-        entries = self._entries(*(by_joint(x) for x in (q, qd, qdd)))
-        for (joint, index), value in entries.items():
-            total[joint] = total[joint] + k[index] * value
-        return jnp.stack(total, axis=-1)
-
-    def _entries(
-        self, q: Sequence[Any], qd: Sequence[Any], qdd: Sequence[Any]
-    ) -> dict[tuple[int, int], Any]:
-        """The regressor's entries that are ever non-zero, by joint and coefficient."""
-        functions = HOST_FUNCTIONS if array_namespace(*q) is np else JAX_FUNCTIONS
-        where = zip(self.input_joints, self.input_indices, strict=True)
-        return dict(zip(where, self.inputs(functions, q, qd, qdd), strict=True))
 
 
 # Made once for some pairs: coefficients are compared by identity.

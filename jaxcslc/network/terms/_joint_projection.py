@@ -15,8 +15,8 @@ from jaxcslc._environment import array_namespace
 from jaxcslc.derivation import Coefficient
 from jaxcslc.manipulator import Manipulator
 
-from ._expressed_bodies import AbstractRigidBody
-from ._term import AbstractManipulatorTerm, Coefficients, Columns, Joints, Matrices, Regressor, Rows
+from ._rigid_body import AbstractRigidBody
+from ._term import AbstractManipulatorTerm, Coefficients, Columns, Joints, Regressor, Rows
 
 
 AllJoints = Float[Array, "*batch all_joints"]
@@ -143,22 +143,13 @@ class ProjectedTerm(AbstractManipulatorTerm):
         whole = self.term.torque(k, *self._of_all(q, qd, qdd))
         return whole @ self._matrix(whole)
 
-    def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
-        whole = self.term.mass_matrix(k, self.projection.positions(q))
-        return self._matrix(whole).T @ whole @ self._matrix(whole)
+    def part(self, quantity: str, k: Coefficients, *motion: Joints) -> Float[Array, "..."]:
+        whole = self.term.part(quantity, k, *self._of_all(*motion))
+        projected = whole @ self._matrix(whole)
+        return self._matrix(whole).T @ projected if quantity == "mass_matrix" else projected
 
-    def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
-        q, qd = self.projection.positions(q), self.projection.velocities(qd)
-        whole = self.term.velocity_term(k, q, qd)
-        return whole @ self._matrix(whole)
-
-    def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
-        whole = self.term.gravity_term(k, self.projection.positions(q))
-        return whole @ self._matrix(whole)
-
-    def _of_all(self, q: Joints, qd: Joints, qdd: Joints) -> tuple[AllJoints, AllJoints, AllJoints]:
-        velocities = self.projection.velocities
-        return self.projection.positions(q), velocities(qd), velocities(qdd)
+    def _of_all(self, q: Joints, *rates: Joints) -> list[AllJoints]:
+        return [self.projection.positions(q), *map(self.projection.velocities, rates)]
 
     def _matrix(self, like: Any) -> Any:
         return jnp.asarray(self.projection.matrix, like.dtype)

@@ -1,114 +1,268 @@
-"""Terms that apply one law to joints, with coefficients of each joint's own.
+"""Laws of single joints (Eqns. 2.5-3, 2.5-4), one row of a table each, and their terms.
 
-The laws themselves are in `_friction_laws`.
+`JOINT_LAWS` has friction, torque offset and spring by the names that a robot's friction model has.
+A new law is a row here, and its name in `FRICTION_TERMS` of `jaxcslc.manipulator`.
 """
 
 import abc
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from jaxcslc._environment import array_namespace
 from jaxcslc.derivation import Coefficient
-from jaxcslc.manipulator import Manipulator
+from jaxcslc.manipulator import STATIC_SLOPE, Manipulator
 
-from ._input_term import HOST_FUNCTIONS, JAX_FUNCTIONS, AbstractFunctions, AbstractInputTerm
-from ._term import Coefficients, Columns, Joints, Regressor, Rows
+from ._input_term import JAX_FUNCTIONS, AbstractFunctions, AbstractInputTerm
+from ._term import Coefficients, Joints, Regressor, hash_of
+
+
+LOAD, DIRECTIONAL_LOAD = "load", "directional_load"
+"""The kinds of friction that grows with the load, in a robot's friction model."""
 
 
 class LawProperties(NamedTuple):
-    """Names, meaning and units of a law's coefficients.
+    """A row of the table of joint laws: names, meaning, units and formula.
 
     **Attributes**
 
     - `kind`: the kind, as in a robot's friction model, and the group of the coefficients.
     - `symbols`: letters that names of coefficients begin with, one for each input.
-    - `description`: of a coefficient, with `{}` for the number of the joint.
+    - `descriptions`: of the coefficient of each symbol, with `{}` for the number of the joint.
     - `units`: of revolute and of prismatic joints.
+    - `formula`: from functions, position, velocity and a number that the law needs to what each
+      coefficient is multiplied by.
+    - `needs`: that number: `"slope"`, `"torque"` of links and motors, or empty.
     - `positive`: whether coefficients are positive by construction: friction opposes motion.
-    - `part`: the sum of the equation of motion that it belongs to, `"friction"` or `"spring"`.
+    - `part`: the sum of the equation of motion that it belongs to, `"friction"` or `"spring"`;
+      `"load"` for what is no part of F(qd), since it has position and acceleration.
     - `directions`: of the inputs, as `("forwards", "backwards")`; empty for one input.
     """
 
     kind: str
     symbols: tuple[str, ...]
-    description: str
+    descriptions: tuple[str, ...]
     units: tuple[str, str]
-    positive: bool
+    formula: Callable[[AbstractFunctions, Any, Any, Any], tuple[Any, ...]]
+    needs: str = ""
+    positive: bool = True
     part: str = "friction"
     directions: tuple[str, ...] = ()
 
 
-class AbstractJointLaw(eqx.Module):
-    """A formula for a joint's torque by its own position and velocity: friction, offset, spring.
+def _viscous(functions: AbstractFunctions, q: Any, qd: Any, _: Any) -> tuple[Any, ...]:
+    del functions, q
+    return (qd,)
 
-    Array fields, (n,) each, are what the formula is not linear in, such as slopes: leaves of the
-    network that transformations see. A new law is a file like `_static_friction.py`, listed in
-    `_registry.py`, and its kind is listed in `jaxcslc/manipulator/_friction.py`.
+
+def _asymmetric_viscous(functions: AbstractFunctions, q: Any, qd: Any, _: Any) -> tuple[Any, ...]:
+    del q
+    return functions.positive(qd), functions.negative(qd)
+
+
+def _dry(functions: AbstractFunctions, q: Any, qd: Any, _: Any) -> tuple[Any, ...]:
+    del q
+    return (functions.sign(qd),)
+
+
+def _asymmetric_dry(functions: AbstractFunctions, q: Any, qd: Any, _: Any) -> tuple[Any, ...]:
+    del q
+    sign = functions.sign(qd)
+    return functions.positive(sign), functions.negative(sign)
+
+
+def _static(functions: AbstractFunctions, q: Any, qd: Any, slope: Any) -> tuple[Any, ...]:
+    del q
+    return (functions.sign(qd) * functions.exp(-(functions.absolute(qd) * slope)),)
+
+
+def _root(functions: AbstractFunctions, q: Any, qd: Any, _: Any) -> tuple[Any, ...]:
+    del q
+    return (functions.sign(qd) * functions.sqrt(functions.absolute(qd)),)
+
+
+def _quadratic(functions: AbstractFunctions, q: Any, qd: Any, _: Any) -> tuple[Any, ...]:
+    del q
+    return (qd * functions.absolute(qd),)
+
+
+def _offset(functions: AbstractFunctions, q: Any, qd: Any, _: Any) -> tuple[Any, ...]:
+    del q
+    return (functions.constant(1.0, qd),)
+
+
+def _spring(functions: AbstractFunctions, q: Any, qd: Any, _: Any) -> tuple[Any, ...]:
+    del functions, qd
+    return (q,)
+
+
+def _load(functions: AbstractFunctions, q: Any, qd: Any, torque: Any) -> tuple[Any, ...]:
+    del q
+    return (functions.sign(qd) * functions.absolute(torque),)
+
+
+def _directional_load(
+    functions: AbstractFunctions, q: Any, qd: Any, torque: Any
+) -> tuple[Any, ...]:
+    del q
+    sign = functions.sign(qd)
+    power = sign * torque
+    return sign * functions.positive(power), -sign * functions.negative(power)
+
+
+_TORQUE, _BOTH_WAYS = ("N m", "N"), ("forwards", "backwards")
+_VISCOUS, _DRY = "viscous friction of joint {}", "dry friction of joint {}"
+_LOADED = "friction of joint {} in proportion to its load"
+
+# Beside viscous friction, those with the root and the square of the speed bend the line, and static
+# friction is what is left beyond dry: their coefficients may have either sign.
+_ROWS = (
+    # Friction in proportion to velocity (Eqn. 2.5-3), and for either direction (Fig. 8.2-2).
+    LawProperties("viscous", ("kv",), (_VISCOUS,), ("N m s/rad", "N s/m"), _viscous),
+    LawProperties(
+        "asymmetric_viscous",
+        ("kvp", "kvn"),
+        tuple(f"{_VISCOUS}, {way}" for way in _BOTH_WAYS),
+        ("N m s/rad", "N s/m"),
+        _asymmetric_viscous,
+        directions=_BOTH_WAYS,
+    ),
+    # Coulomb friction, in proportion to the sign of velocity (Eqn. 2.5-3).
+    LawProperties("dry", ("kd",), (_DRY,), _TORQUE, _dry),
+    LawProperties(
+        "asymmetric_dry",
+        ("kdp", "kdn"),
+        tuple(f"{_DRY}, {way}" for way in _BOTH_WAYS),
+        _TORQUE,
+        _asymmetric_dry,
+        directions=_BOTH_WAYS,
+    ),
+    # Static friction beyond dry friction, sign(qd) exp(-slope |qd|) (Eqn. 2.5-4, Fig. 8.2-1).
+    LawProperties(
+        "static",
+        ("ks",),
+        ("static friction of joint {} beyond dry",),
+        _TORQUE,
+        _static,
+        needs="slope",
+        positive=False,
+    ),
+    LawProperties(
+        "root",
+        ("kr",),
+        ("friction of joint {} with the root of its speed",),
+        ("N m (s/rad)^0.5", "N (s/m)^0.5"),
+        _root,
+        positive=False,
+    ),
+    # Fans, seals in oil, fluid in hoses.
+    LawProperties(
+        "quadratic",
+        ("kq",),
+        ("friction of joint {} with the square of its speed",),
+        ("N m (s/rad)^2", "N (s/m)^2"),
+        _quadratic,
+        positive=False,
+    ),
+    LawProperties(
+        "offset", ("ko",), ("torque offset of joint {}",), _TORQUE, _offset, positive=False
+    ),
+    LawProperties(
+        "spring", ("ke",), ("stiffness of joint {}",), ("N m/rad", "N/m"), _spring, part="spring"
+    ),
+    # Coulomb friction that grows with the load of the gears, alike or different for motion with the
+    # rigid torque, which drives, and motion against it, which brakes.
+    LawProperties(LOAD, ("kl",), (_LOADED,), ("1", "1"), _load, needs="torque", part=LOAD),
+    LawProperties(
+        DIRECTIONAL_LOAD,
+        ("kld", "klb"),
+        (f"{_LOADED}, where it drives it", f"{_LOADED}, where it brakes it"),
+        ("1", "1"),
+        _directional_load,
+        needs="torque",
+        part=LOAD,
+        directions=("driving", "braking"),
+    ),
+)
+
+
+class JointLaw(eqx.Module):
+    """A law of a joint's torque by its own position and velocity: friction, offset, spring.
+
+    **Attributes**
+
+    - `properties`: its row of the table.
+    - `slopes`: (n,) of static friction, of each joint that has a torque [s/rad or s/m]: a leaf that
+      transformations see, since torque is not linear in it. Joints without static friction do not
+      use theirs. None for other laws.
     """
 
-    @property
-    @abc.abstractmethod
-    def properties(self) -> LawProperties:
-        """Names, units and kind."""
+    properties: LawProperties = eqx.field(static=True)
+    slopes: Float[Array | np.ndarray, "..."] | None = None
 
-    @abc.abstractmethod
     def inputs(self, functions: AbstractFunctions, q: Any, qd: Any) -> tuple[Any, ...]:
         """Return the factors of a joint's coefficients, one value per symbol.
 
-        Written as for one joint: array fields of `self` are that joint's entries here.
-
         - `functions`: those that are not plain operators.
-        - `q`, `qd`: position and velocity.
+        - `q`, `qd`: position and velocity of a joint, of which `slopes` is the entry here.
         """
+        return self.properties.formula(functions, q, qd, self.slopes)
+
+    def with_slopes(self, slopes: Any) -> "JointLaw":
+        """Return the law with other slopes, (n,); numbers become a NumPy array.
+
+        **Raises** `ValueError` for a wrong number of slopes, and for numbers not above 0.
+        """
+        values = slopes if isinstance(slopes, Array) else np.array(slopes, float)
+        if isinstance(values, np.ndarray) and not np.all((values > 0) & (values < np.inf)):
+            raise ValueError(f"static slopes: expected numbers above 0, got {values.tolist()}")
+        if self.slopes is not None and values.shape != self.slopes.shape:
+            raise ValueError(
+                f"static slopes: expected {self.slopes.shape[-1]}, one a joint, got {values.shape}"
+            )
+        return JointLaw(self.properties, values)
+
+    def __hash__(self) -> int:
+        return hash_of(self.properties, self.slopes)
 
 
-class JointTerm(AbstractInputTerm):
+JOINT_LAWS = {row.kind: JointLaw(row) for row in _ROWS}
+"""The law of each kind of `jaxcslc.manipulator.FRICTION_TERMS`; that of static friction has no
+slopes here."""
+
+
+class AbstractJointTerm(AbstractInputTerm):
     """A law of the joints that have it, with coefficients of each joint's own.
 
     The coefficients are those of the first symbol, joint by joint, then those of the next.
 
     **Attributes**
 
-    - `kind`: of the law.
-    - `law`: the formula.
+    - `law`: the formula; `kind`: of the law.
     - `joints`: those that have it, from 0; `joint_count`: how many have torques: all that follow
       none.
     - `robot_joints`: which of the robot's they are; `robot_joint_count`: n.
     """
 
-    law: AbstractJointLaw
-    kind: str = eqx.field(static=True)
-    coefficients: tuple[Coefficient, ...] = eqx.field(static=True)
-    joints: tuple[int, ...] = eqx.field(static=True)
-    joint_count: int = eqx.field(static=True)
-    robot_joints: tuple[int, ...] = eqx.field(static=True)
-    robot_joint_count: int = eqx.field(static=True)
+    law: eqx.AbstractVar[JointLaw]
+    joints: eqx.AbstractVar[tuple[int, ...]]
+    robot_joints: eqx.AbstractVar[tuple[int, ...]]
+    robot_joint_count: eqx.AbstractVar[int]
 
-    @classmethod
-    def of(cls, law: AbstractJointLaw, robot: Manipulator) -> "JointTerm":
-        """The term of the robot's joints whose friction model names the law's kind."""
-        kind, friction = law.properties.kind, robot.friction_per_joint
-        independent = robot.independent_joints
-        joints = tuple(i for i, joint in enumerate(independent) if kind in friction[joint])
-        robot_joints = tuple(independent[i] for i in joints)
-        prismatic = tuple(robot.joints[joint].kind == "P" for joint in robot_joints)
-        return cls(
-            law=law,
-            kind=kind,
-            coefficients=_coefficients(law.properties, robot_joints, prismatic),
-            joints=joints,
-            joint_count=len(independent),
-            robot_joints=robot_joints,
-            robot_joint_count=robot.joint_count,
-        )
+    @abc.abstractmethod
+    def _needed(
+        self, functions: AbstractFunctions, q: Sequence[Any], qd: Sequence[Any], qdd: Sequence[Any]
+    ) -> Sequence[Any]:
+        """Return what the law needs beside motion, one value per joint."""
+
+    @abc.abstractmethod
+    def _needed_of_all(self, q: Joints, qd: Joints, qdd: Joints) -> Joints | None:
+        """Return the same of all joints as one array, (..., n)."""
 
     @property
     def keyword(self) -> str:
@@ -128,113 +282,120 @@ class JointTerm(AbstractInputTerm):
 
     @property
     def value_shape(self) -> tuple[int, ...]:
-        return (self.robot_joint_count, *self._directions)
+        directions = self.law.properties.directions
+        return (self.robot_joint_count, *([len(directions)] if directions else ()))
 
     @property
     def value_index(self) -> tuple[tuple[int, ...], ...]:
-        if not self.law.properties.directions:
+        directions = range(len(self.law.properties.directions))
+        if not directions:
             return (self.robot_joints,)
-        columns = range(len(self.law.properties.symbols))
-        return self.robot_joints * len(columns), tuple(
-            column for column in columns for _ in self.joints
-        )
+        columns = tuple(column for column in directions for _ in self.joints)
+        return self.robot_joints * len(directions), columns
 
     @property
     def value_meaning(self) -> str:
-        if not self.law.properties.directions:
-            return "one a joint"
-        return f"{' and '.join(self.law.properties.directions)} of each joint"
-
-    @property
-    def inertia_matrices(self) -> Float[np.ndarray, "coefficients joints joints"]:
-        return np.zeros((self.size, self.joint_count, self.joint_count))
+        directions = self.law.properties.directions
+        return f"{' and '.join(directions)} of each joint" if directions else "one a joint"
 
     def inputs(
         self, functions: AbstractFunctions, q: Sequence[Any], qd: Sequence[Any], qdd: Sequence[Any]
     ) -> list[Any]:
-        del qdd
-        values: list[tuple[Any, ...]] = []
-        for j in self.joints:
-            law = jax.tree.map(lambda x, j=j: functions.constant(x[j], qd[j]), self.law)
-            values.append(law.inputs(functions, q[j], qd[j]))
-        return [value for symbol in zip(*values, strict=True) for value in symbol]
-
-    def columns(self, q: Rows, qd: Rows, qdd: Rows) -> Columns:
-        del qdd
-        inputs = self._inputs(q, qd, 0)
-        xp = array_namespace(*inputs)
-        return tuple(
-            xp.stack([x[joint] for x in inputs]) if joint in self.joints else q[:0]
-            for joint in range(self.joint_count)
-        )
+        needed, formula = self._needed(functions, q, qd, qdd), self.law.properties.formula
+        values = [formula(functions, q[j], qd[j], needed[j]) for j in self.joints]
+        return [value for of_symbol in zip(*values, strict=True) for value in of_symbol]
 
     def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
-        del qdd
-        shape = (*q.shape, len(self.joints))
-        # One row of the identity a coefficient: a product costs less than many small arrays.
-        eye = jnp.asarray(np.eye(self.joint_count)[:, list(self.joints)], q.dtype)
-        blocks = [
-            jnp.broadcast_to(self._of_joints(x)[..., None, :], shape) * jnp.broadcast_to(eye, shape)
-            for x in self._inputs(q, qd, -1)
-        ]
-        return blocks[0] if len(blocks) == 1 else jnp.concatenate(blocks, axis=-1)
-
-    def _of_joints(self, x: Joints) -> Float[Array, "*batch _"]:
-        """The columns of the joints that have the law."""
-        if len(self.joints) == self.joint_count:
-            return x
-        return jnp.take(x, np.array(self.joints), axis=-1, mode="clip")
+        values = [x[..., np.array(self.joints)] for x in self._of_all_joints(q, qd, qdd)]
+        return self._regressor(jnp.concatenate(values, axis=-1))
 
     def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
-        del qdd
-        zero = jnp.zeros((), k.dtype)
-        total: Array | None = None
-        for x, k_of_joints in zip(self._inputs(q, qd, -1), self._by_symbol(k), strict=True):
-            factors = dict(zip(self.joints, k_of_joints, strict=True))
-            row = jnp.stack([factors.get(joint, zero) for joint in range(self.joint_count)])
-            share = x * jnp.broadcast_to(row, x.shape)
-            total = share if total is None else total + share
-        assert total is not None
-        return total
+        # Arrays of all joints: apart, they would be joined again at a third of the speed.
+        values = self._of_all_joints(q, qd, qdd)
+        of_joints = k.reshape(len(values), -1)
+        if len(self.joints) < self.joint_count:
+            zeros = jnp.zeros((len(values), self.joint_count), k.dtype)
+            of_joints = zeros.at[:, np.array(self.joints)].set(of_joints)
+        first, *others = (
+            x * jnp.broadcast_to(row, x.shape) for x, row in zip(values, of_joints, strict=True)
+        )
+        return sum(others, first)
 
-    @property
-    def _directions(self) -> tuple[int, ...]:
-        return (len(self.law.properties.directions),) if self.law.properties.directions else ()
-
-    def _by_symbol(self, k: Array) -> list[Array]:
-        return list(k.reshape(len(self.law.properties.symbols), len(self.joints)))
-
-    def _inputs(self, q: Any, qd: Any, axis: int) -> tuple[Any, ...]:
-        """Inputs of all joints at once, which are on this axis."""
-        shape = [1] * q.ndim
-        shape[axis] = self.joint_count
-        # Motion may be NumPy's while JAX traces the law's numbers.
-        traced = any(isinstance(x, Tracer) for x in jax.tree.leaves(self.law))
-        on_host = isinstance(q, np.ndarray) and not traced
-        xp, functions = (np, HOST_FUNCTIONS) if on_host else (jnp, JAX_FUNCTIONS)
-
-        def of_every_joint(x: Any) -> Any:
-            return xp.broadcast_to(xp.reshape(xp.asarray(x, q.dtype), shape), q.shape)
-
-        return jax.tree.map(of_every_joint, self.law).inputs(functions, q, qd)
+    def _of_all_joints(self, q: Joints, qd: Joints, qdd: Joints) -> tuple[Joints, ...]:
+        needed = self._needed_of_all(q, qd, qdd)
+        return self.law.properties.formula(JAX_FUNCTIONS, q, qd, needed)
 
 
-# Made once for a law and its joints: coefficients are compared by identity.
-@lru_cache(maxsize=256)
+class JointTerm(AbstractJointTerm):
+    """A law of joints by their own motion: friction, torque offset, spring."""
+
+    law: JointLaw
+    kind: str = eqx.field(static=True)
+    coefficients: tuple[Coefficient, ...] = eqx.field(static=True)
+    joints: tuple[int, ...] = eqx.field(static=True)
+    joint_count: int = eqx.field(static=True)
+    robot_joints: tuple[int, ...] = eqx.field(static=True)
+    robot_joint_count: int = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, law: JointLaw, robot: Manipulator) -> "JointTerm":
+        """The term of the robot's joints whose friction model names the law's kind.
+
+        Static friction without slopes has the robot's, or `STATIC_SLOPE` if it has none.
+        """
+        if law.properties.needs == "slope" and law.slopes is None:
+            slopes = np.array(robot.static_slopes or (STATIC_SLOPE,) * robot.joint_count, float)
+            law = law.with_slopes(slopes[list(robot.independent_joints)])
+        return cls(law=law, **joint_fields(law, robot))
+
+    def with_slopes(self, slopes: Any) -> "JointTerm":
+        """Return the term with other slopes: see `JointLaw.with_slopes`."""
+        return dataclasses.replace(self, law=self.law.with_slopes(slopes))
+
+    def _needed(
+        self, functions: AbstractFunctions, q: Sequence[Any], qd: Sequence[Any], qdd: Sequence[Any]
+    ) -> Sequence[Any]:
+        del q, qdd
+        slopes = self.law.slopes
+        if slopes is None:
+            return [None] * self.joint_count
+        return [functions.constant(slopes[j], qd[j]) for j in range(self.joint_count)]
+
+    def _needed_of_all(self, q: Joints, qd: Joints, qdd: Joints) -> Joints | None:
+        del q, qdd
+        slopes = self.law.slopes
+        return None if slopes is None else jnp.broadcast_to(jnp.asarray(slopes, qd.dtype), qd.shape)
+
+
+def joint_fields(law: JointLaw, robot: Manipulator) -> dict[str, Any]:
+    """Return the static fields of a term of the joints whose friction model names a law's kind."""
+    kind, independent = law.properties.kind, robot.independent_joints
+    has = [kind in robot.friction_per_joint[joint] for joint in independent]
+    joints = tuple(i for i, one in enumerate(has) if one)
+    robot_joints = tuple(independent[i] for i in joints)
+    prismatic = tuple(robot.joints[joint].kind == "P" for joint in robot_joints)
+    return {
+        "kind": kind,
+        "coefficients": _coefficients(law.properties, robot_joints, prismatic),
+        "joints": joints,
+        "joint_count": len(independent),
+        "robot_joints": robot_joints,
+        "robot_joint_count": robot.joint_count,
+    }
+
+
+@lru_cache(maxsize=256)  # coefficients are compared by identity
 def _coefficients(
     law: LawProperties, joints: tuple[int, ...], prismatic: tuple[bool, ...]
 ) -> tuple[Coefficient, ...]:
-    coefficients: list[Coefficient] = []
-    for number, symbol in enumerate(law.symbols):
-        direction = f", {law.directions[number]}" if law.directions else ""
-        coefficients += [
-            Coefficient(
-                f"{symbol}{joint + 1}",
-                law.kind,
-                law.description.format(joint + 1) + direction,
-                law.units[slides],
-                law.positive,
-            )
-            for joint, slides in zip(joints, prismatic, strict=True)
-        ]
-    return tuple(coefficients)
+    return tuple(
+        Coefficient(
+            f"{symbol}{joint + 1}",
+            law.kind,
+            description.format(joint + 1),
+            law.units[slides],
+            law.positive,
+        )
+        for symbol, description in zip(law.symbols, law.descriptions, strict=True)
+        for joint, slides in zip(joints, prismatic, strict=True)
+    )

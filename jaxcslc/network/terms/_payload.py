@@ -7,7 +7,6 @@ from jaxcslc.derivation import BODY, Addend, Coefficient, inertial_terms
 from jaxcslc.manipulator import LinkInertia, Manipulator, RobotError
 
 from ._rigid_body_recursion import RigidBodyRecursion
-from ._rolled import paths_of
 
 
 PAYLOAD = tuple(f"p{entry}" for entry in BODY)
@@ -65,16 +64,10 @@ def payload_term(carrying: Manipulator) -> RigidBodyRecursion:
     unit = tuple(tuple(float(i == j) for j in range(size)) for i in range(size))
     link = inertial_terms(carrying)[0].link
     links = range(carrying.joint_count)
-    return RigidBodyRecursion(
-        body=tuple(unit if i == link else ((),) * size for i in links),
-        joints=carrying.joints,
-        gravity=carrying.gravity,
-        indices=tuple(tuple(range(size)) if i == link else () for i in links),
-        motors=(),
-        paths=paths_of(carrying.parents),
-        coefficients=_coefficients(carrying),
-        kind="payload",
-    )
+    body = tuple(unit if i == link else ((),) * size for i in links)
+    indices = tuple(tuple(range(size)) if i == link else () for i in links)
+    coefficients = _coefficients(carrying)
+    return RigidBodyRecursion.of_bodies(carrying, body, indices, (), coefficients, "payload")
 
 
 @lru_cache(maxsize=64)  # coefficients are compared by identity

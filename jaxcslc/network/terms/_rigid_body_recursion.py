@@ -1,6 +1,8 @@
 """The rigid-body term by Newton and Euler's recursion, rolled or unrolled."""
 
+import dataclasses
 import math
+from collections.abc import Collection, Sequence
 from functools import lru_cache, partial
 from typing import Any
 
@@ -12,12 +14,11 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from jaxcslc._environment import platform_of
-from jaxcslc.codegen import Motion, StraightLine, in_blocks, motion_outputs
-from jaxcslc.derivation import BODY, Algebra, Coefficient
-from jaxcslc.manipulator import Joint
+from jaxcslc.codegen import Expressions, Motion, StraightLine, Value, in_blocks, motion_outputs
+from jaxcslc.derivation import BODY, Algebra, Chain, Coefficient, NewtonEuler, link_frames
+from jaxcslc.manipulator import Joint, Manipulator
 
-from ._expressed_bodies import AbstractRigidBody, code
-from ._linked_bodies import RecursiveBodies
+from ._rigid_body import PARTS, AbstractExpressedBodies, AbstractRigidBody, code
 from ._rolled import (
     Bodies,
     Geometry,
@@ -91,15 +92,31 @@ class RigidBodyRecursion(AbstractRigidBody):
             else:
                 indices[unit.link].append(index)
                 columns[unit.link].append(tuple(float(entry) for entry in unit.body))
+        body = tuple(tuple(zip(*c, strict=True)) if c else ((),) * len(BODY) for c in columns)
+        by_link = tuple(tuple(link) for link in indices)
+        term = cls.of_bodies(algebra.robot, body, by_link, tuple(motors), algebra.coefficients)
+        return dataclasses.replace(term, unrolled=unrolled)
+
+    @classmethod
+    def of_bodies(
+        cls,
+        robot: Manipulator,
+        body: tuple[tuple[tuple[float, ...], ...], ...],
+        indices: tuple[tuple[int, ...], ...],
+        motors: tuple[tuple[int, int], ...],
+        coefficients: tuple[Coefficient, ...] = (),
+        kind: str = "rigid_body",
+    ) -> "RigidBodyRecursion":
+        """Make the term of bodies that a robot's links carry; arguments as the attributes."""
         return cls(
-            body=tuple(tuple(zip(*c, strict=True)) if c else ((),) * len(BODY) for c in columns),
-            joints=algebra.robot.joints,
-            gravity=algebra.robot.gravity,
-            indices=tuple(tuple(link) for link in indices),
-            motors=tuple(motors),
-            paths=paths_of(algebra.robot.parents),
-            coefficients=algebra.coefficients,
-            unrolled=unrolled,
+            body=body,
+            joints=robot.joints,
+            gravity=robot.gravity,
+            indices=indices,
+            motors=motors,
+            paths=paths_of(robot.parents),
+            coefficients=coefficients,
+            kind=kind,
         )
 
     @property
@@ -110,10 +127,8 @@ class RigidBodyRecursion(AbstractRigidBody):
     def support(self) -> tuple[tuple[int, ...], ...]:
         return _support(self.indices, self.motors, self.paths)
 
-    def expressed(self, motion: Motion) -> RecursiveBodies:
-        parents = tuple(path[-2] if len(path) > 1 else -1 for path in self.paths)
-        of_robot = self.joints, parents, self.gravity
-        return RecursiveBodies(motion, *of_robot, self.body, self.indices, self.motors)
+    def expressed(self, motion: Motion) -> "RecursiveBodies":
+        return RecursiveBodies(motion, self)
 
     def _column_rows(self, q: Rows, qd: Rows, qdd: Rows) -> Float[Array, "rows samples"]:
         if self.is_unrolled(q, q.shape[::-1]):
@@ -258,3 +273,120 @@ def _support(
     for joint, motor in motors:
         carried[joint].append(motor)
     return tuple(tuple(sorted(joint)) for joint in carried)
+
+
+# An angle this close to a multiple of 90 degrees is meant to be it [rad].
+_RIGHT_ANGLE = 1e-14
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RecursiveBodies(AbstractExpressedBodies):
+    """A chain or tree of bodies over expressions: a term, and the motion of its joints."""
+
+    motion: Motion
+    term: RigidBodyRecursion
+
+    def torque(self, k: Any, parts: Collection[str] = PARTS) -> list[Value]:
+        motion, still = self.motion, [0.0] * len(self.motion.q)
+        recursion = self._recursion(self.term.gravity if "gravity" in parts else (0.0, 0.0, 0.0))
+        qd = motion.qd if "velocity" in parts else still
+        qdd = motion.qdd if "mass" in parts else still
+        return motion.values(recursion.torque(*self._numbers(k), qd, qdd))
+
+    def mass_matrix(self, k: Any) -> list[list[Value]]:
+        rows = self._recursion(self.term.gravity).mass_matrix(*self._numbers(k))
+        return [self.motion.values(row) for row in rows]
+
+    def entries(self) -> dict[tuple[int, int], Value]:
+        motion, term = self.motion, self.term
+        units = [
+            (link, index, [row[column] for row in term.body[link]])
+            for link, indices in enumerate(term.indices)
+            for column, index in enumerate(indices)
+        ]
+        rows = self._recursion(self.term.gravity).columns(
+            [(link, unit) for link, _, unit in units], motion.qd, motion.qdd
+        )
+        entries: dict[tuple[int, int], Value] = {}
+        for joint, row in enumerate(rows):
+            for (_, index, _), x in zip(units, motion.values(row), strict=True):
+                if not x.is_zero:
+                    entries[joint, index] = x
+            entries |= {(i, index): motion.qdd[i] for i, index in self.term.motors if i == joint}
+        return entries
+
+    def _recursion(self, gravity: tuple[float, float, float]) -> NewtonEuler:
+        parents = tuple(path[-2] if len(path) > 1 else -1 for path in self.term.paths)
+        return newton_euler(self.motion, self.term.joints, parents, gravity)
+
+    def _numbers(self, k: Any) -> tuple[list[list[Any]], list[Any]]:
+        """Every link's ten numbers and every motor's inertia."""
+        links: list[list[Any]] = []
+        for rows, indices in zip(self.term.body, self.term.indices, strict=True):
+            links.append(
+                [
+                    sum(k[i] * factor for i, factor in zip(indices, row, strict=True) if factor)
+                    for row in rows
+                ]
+            )
+        motors: list[Any] = [0.0] * len(self.term.joints)
+        for joint, index in self.term.motors:
+            motors[joint] = k[index]
+        return links, motors
+
+
+def newton_euler(
+    motion: Motion,
+    joints: Sequence[Joint],
+    parents: Sequence[int],
+    gravity: tuple[float, float, float],
+) -> NewtonEuler:
+    """The recursion of a robot over expressions of its motion.
+
+    Unrolled, and without what right angles and zero lengths make trivial: a Panda's regressor of
+    base parameters is 1,245 operations, a PUMA 560's 505.
+
+    **Arguments**
+
+    - `motion`: of the joints.
+    - `joints`: a row of modified Denavit-Hartenberg parameters each, all lengths in numbers.
+    - `parents`: the index of the link that carries each link, -1 for the base.
+    - `gravity`: in the base frame [m/s²].
+
+    >>> import jaxcslc as jc
+    >>> robot, motion = jc.puma560(), Motion(6)
+    >>> arm = newton_euler(motion, robot.joints, robot.parents, robot.gravity)
+    >>> point_mass = 5, (0, 0, 0, 0, 0, 0, 0, 0, 0, 1)  # at the origin of the last frame
+    >>> rows = arm.columns([point_mass], motion.qd, motion.qdd)
+    >>> [motion.graph.cost(motion.values(row)) for row in rows]
+    [159, 136, 131, 0, 0, 0]
+    """
+    a, d, b = ([float(getattr(joint, letter).value or 0.0) for joint in joints] for letter in "adb")
+    frames = link_frames(
+        Chain.from_joints(joints, parents).in_numbers(float),
+        rotations=[
+            _rotation(motion.graph, joint, q) for joint, q in zip(joints, motion.q, strict=True)
+        ],
+        a=a,
+        d=[
+            offset + q if joint.kind == "P" else offset
+            for offset, joint, q in zip(d, joints, motion.q, strict=True)
+        ],
+        b=b,
+    )
+    return NewtonEuler(frames, gravity)
+
+
+def _rotation(graph: Expressions, joint: Joint, q: Value) -> tuple[Value, Value]:
+    """Cosine and sine of a joint's angle about z; multiples of 90 degrees are exact."""
+    quarters = round(joint.theta / (math.pi / 2))
+    remainder = joint.theta - quarters * (math.pi / 2)
+    if abs(remainder) < _RIGHT_ANGLE:
+        remainder = 0.0
+    if joint.kind == "P":
+        c, s = graph.constant(math.cos(remainder)), graph.constant(math.sin(remainder))
+    else:
+        c, s = graph.apply("cos", q + remainder), graph.apply("sin", q + remainder)
+    for _ in range(quarters % 4):
+        c, s = -s, c
+    return c, s

@@ -1,25 +1,189 @@
-"""The rigid-body term from the tables of its closed form, and the preprocessing layer."""
+"""The rigid-body term from the tables of its closed form, and the preprocessing layer (thesis 5.1).
 
-from collections.abc import Sequence
+`ClosedForm` has the tables over expressions; `RigidBodyTables` is the term whose values they are.
+"""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from fractions import Fraction
 from functools import lru_cache
-from itertools import chain, pairwise
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxcslc._environment import array_namespace
-from jaxcslc.codegen import Motion, StraightLine, motion_outputs
+from jaxcslc.codegen import Expressions, Motion, StraightLine, Value, motion_outputs
 from jaxcslc.derivation import Algebra, Coefficient, PositionRing, ProductTable
 
-from ._closed_form import ClosedForm, Monomial, position_variables
-from ._expressed_bodies import AbstractRigidBody, code
 from ._input_term import by_joint
+from ._rigid_body import PARTS, AbstractExpressedBodies, AbstractRigidBody, code
 from ._term import Coefficients, Joints, Rows
 
 
 Samples = Float[Array | np.ndarray, "*batch"]
+Monomial = tuple[int, ...]
+Polynomial = dict[Monomial, Any]
+
+
+class ClosedForm(AbstractExpressedBodies):
+    """A network's tables over expressions: polynomials in sines and cosines (thesis 5.1).
+
+    Sums are nested (Horner): the variable that most of the monomials have is taken out, and so
+    on inside and outside of the bracket. Each element of a table is formed once, and serves both
+    torques that an off-diagonal element of the mass matrix enters.
+    """
+
+    def __init__(self, motion: Motion, tables: Any) -> None:
+        """
+        - `motion`: of the joints.
+        - `tables`: what has `ring`, `mass`, `velocity` and `gravity`: an `Algebra`, or a term made
+          from it.
+        """
+        self.motion, self._tables = motion, tables
+        graph = motion.graph
+
+        def sine(x: Value) -> Value:
+            minus, size = x.signed()
+            return -graph.apply("sin", size) if minus else graph.apply("sin", size)
+
+        self._variables = position_variables(
+            tables.ring, motion.q, lambda x: graph.apply("cos", x.signed()[1]), sine
+        )
+
+    def torque(self, k: Any, parts: Collection[str] = PARTS) -> list[Value]:
+        motion = self.motion
+        total = [motion.graph.constant(0.0)] * len(motion.q)
+        if "mass" in parts:
+            for (i, j), value in self._elements(self._tables.mass, k).items():
+                total[i] = total[i] + value * motion.qdd[j]
+                if i != j:
+                    total[j] = total[j] + value * motion.qdd[i]
+        if "velocity" in parts:
+            for (i, j, m), value in self.christoffel_symbols(k).items():
+                total[i] = total[i] + value * self._rates(j, m)
+        if "gravity" in parts:
+            for (i,), value in self._elements(self._tables.gravity, k).items():
+                total[i] = total[i] + value
+        return total
+
+    def mass_matrix(self, k: Any) -> list[list[Value]]:
+        n, zero = len(self.motion.q), self.motion.graph.constant(0.0)
+        elements = self._elements(self._tables.mass, k)
+        return [[elements.get((min(i, j), max(i, j)), zero) for j in range(n)] for i in range(n)]
+
+    def christoffel_symbols(self, k: Any) -> dict[tuple[int, ...], Value]:
+        """The symbols c_ijk, j <= k, that are not identically zero (Eqn. 2.4-5)."""
+        return self._elements(self._tables.velocity, k)
+
+    def entries(self) -> dict[tuple[int, int], Value]:
+        motion, tables = self.motion, self._tables
+        entries: dict[tuple[int, int], Value] = {}
+
+        def put(joint: int, coefficient: int, value: Value) -> None:
+            key = joint, coefficient
+            entries[key] = entries[key] + value if key in entries else value
+
+        for (j, m), coefficient, value in self._sums(tables.mass):
+            put(j, coefficient, value * motion.qdd[m])
+            if j != m:
+                put(m, coefficient, value * motion.qdd[j])
+        for (i, j, m), coefficient, value in self._sums(tables.velocity):
+            put(i, coefficient, value * self._rates(j, m))
+        for (j,), coefficient, value in self._sums(tables.gravity):
+            put(j, coefficient, value)
+        return entries
+
+    def _rates(self, j: int, m: int) -> Value:
+        """qd_j qd_m, twice that if j != m: c_ijm = c_imj stand for one link (Eqn. 5.1-5, 5.1-6)."""
+        return self.motion.qd[j] * self.motion.qd[m] * (1.0 if j == m else 2.0)
+
+    def _elements(self, table: ProductTable, k: Any) -> dict[tuple[int, ...], Value]:
+        """Every element of a table that has links: the sum of weight times input."""
+        elements: dict[int, Polynomial] = {}
+        for link in table.links:
+            weight = sum(k[index] * float(multiple) for index, multiple in link.weights)
+            element, monomial = elements.setdefault(link.column, {}), table.inputs[link.input]
+            element[monomial] = element[monomial] + weight if monomial in element else weight
+        return {table.columns[i]: self._nested(element) for i, element in elements.items()}
+
+    def _sums(self, table: ProductTable) -> list[tuple[tuple[int, ...], int, Value]]:
+        """Sum multiple times input over links, for every element and coefficient."""
+        sums: dict[tuple[int, int], dict[Monomial, Fraction]] = {}
+        for link in table.links:
+            for coefficient, multiple in link.weights:
+                polynomial = sums.setdefault((link.column, coefficient), {})
+                monomial = table.inputs[link.input]
+                polynomial[monomial] = polynomial.get(monomial, Fraction(0)) + multiple
+        return [
+            (
+                table.columns[column],
+                coefficient,
+                self._nested({m: float(f) for m, f in polynomial.items()}),
+            )
+            for (column, coefficient), polynomial in sums.items()
+        ]
+
+    def _nested(self, polynomial: Mapping[Monomial, Any]) -> Value:
+        return nested(self.motion.graph, polynomial, self._variables)
+
+
+def position_variables(
+    ring: PositionRing,
+    q: Sequence[Any],
+    cos: Callable[[Any], Any],
+    sin: Callable[[Any], Any],
+) -> list[Any]:
+    """Return the ring's variables: cosine and sine of every angle, prismatic positions.
+
+    `q` is one array, or one expression, per joint.
+    """
+    variables: list[Any] = []
+    for angle in ring.chain.angles:
+        total = sum(q[joint] * sign for joint, sign in angle.terms)
+        sine = sin(total)
+        variables += [cos(total), sine]
+    return variables + [q[i] for i, link in enumerate(ring.chain.links) if link.prismatic]
+
+
+def nested(
+    graph: Expressions, polynomial: Mapping[Monomial, Any], variables: Sequence[Value]
+) -> Value:
+    """A polynomial's value, variables taken out of brackets while two monomials share one."""
+    polynomial = {
+        monomial: value
+        for monomial, value in polynomial.items()
+        if isinstance(value, Value) or value
+    }
+    if not polynomial:
+        return graph.constant(0.0)
+    counts = np.count_nonzero(np.array(list(polynomial)), axis=0)
+    common = int(np.argmax(counts)) if len(counts) else 0
+    if len(polynomial) == 1 or counts[common] < 2:
+        total = graph.constant(0.0)
+        for monomial, value in polynomial.items():
+            total = total + product(graph, monomial, variables) * value
+        return total
+    inside: Polynomial = {}
+    outside: Polynomial = {}
+    for monomial, value in polynomial.items():
+        if monomial[common]:
+            powers = list(monomial)
+            powers[common] -= 1
+            inside[tuple(powers)] = value
+        else:
+            outside[monomial] = value
+    taken = variables[common] * nested(graph, inside, variables)
+    return taken + nested(graph, outside, variables)
+
+
+def product(graph: Expressions, monomial: Monomial, variables: Sequence[Value]) -> Value:
+    """A monomial, factor by factor in the order of the variables, so that beginnings are shared."""
+    result = graph.constant(1.0)
+    for variable, power in zip(variables, monomial, strict=True):
+        for _ in range(power):
+            result = result * variable
+    return result
 
 
 class RigidBodyTables(AbstractRigidBody):
@@ -97,41 +261,6 @@ def _support(
     return tuple(tuple(sorted(coefficients)) for coefficients in reach)
 
 
-def product_rows(
-    monomials: Sequence[Monomial], variables: Float[Array, " variables *batch"]
-) -> Float[Array, " monomials *batch"]:
-    """`products` as one array: one gathered product for each degree.
-
-    A Panda's tables have 9,500 monomials. Written out, they are that many operations, which XLA
-    compiles for 50 s on one core; this is two operations for each of some fifteen degrees, and
-    half a second.
-    """
-    degrees: list[list[Monomial]] = [[(0,) * len(variables)]]
-    parents: dict[Monomial, tuple[Monomial, int]] = {}
-    pending = list(monomials)
-    while pending:
-        monomial = pending.pop()
-        if monomial in parents or not any(monomial):
-            continue
-        last = max(index for index, power in enumerate(monomial) if power)
-        shorter = (*monomial[:last], monomial[last] - 1, *monomial[last + 1 :])
-        parents[monomial] = shorter, last
-        pending.append(shorter)
-    for monomial in sorted(parents, key=lambda monomial: (sum(monomial), monomial)):
-        if sum(monomial) == len(degrees):
-            degrees.append([])
-        degrees[-1].append(monomial)
-    levels = [jnp.ones_like(variables[:1])]
-    for shorter, level in pairwise(degrees):
-        index = {monomial: row for row, monomial in enumerate(shorter)}
-        factors = [(index[before], last) for before, last in map(parents.__getitem__, level)]
-        before, last = np.array(factors).T
-        levels.append(levels[-1][before] * variables[last])
-    rows = {monomial: row for row, monomial in enumerate(chain.from_iterable(degrees))}
-    order = np.array([rows[monomial] for monomial in monomials], int)
-    return jnp.concatenate(levels)[order]
-
-
 def input_rows(
     ring: PositionRing, monomials: Sequence[Monomial], q: Sequence[Samples]
 ) -> Float[Array, " monomials *batch"]:
@@ -151,6 +280,28 @@ def input_rows(
     >>> input_rows(algebra.ring, algebra.mass.inputs, list(jnp.zeros((6, 100)))).shape
     (59, 100)
     """
-    xp = array_namespace(*q)
-    variables = position_variables(ring, q, xp.cos, xp.sin)
-    return product_rows(monomials, jnp.stack(variables))
+    variables = jnp.stack(position_variables(ring, q, jnp.cos, jnp.sin))
+    highest, needed = max(map(sum, monomials), default=0), set(monomials)
+    for degree in range(highest, 1, -1):
+        needed |= {_without_last(m) for m in needed if sum(m) == degree}
+    # A gathered product for each degree: a Panda's 9,500 monomials, written out, compile for 50 s.
+    level: list[Monomial] = [(0,) * len(variables)]
+    order, levels = list(level), [jnp.ones_like(variables[:1])]
+    for degree in range(1, highest + 1):
+        before = {monomial: row for row, monomial in enumerate(level)}
+        level = sorted(m for m in needed if sum(m) == degree)
+        factors = np.array([(before[_without_last(m)], _last(m)) for m in level]).T
+        levels.append(levels[-1][factors[0]] * variables[factors[1]])
+        order += level
+    row_of = {monomial: row for row, monomial in enumerate(order)}
+    return jnp.concatenate(levels)[np.array([row_of[m] for m in monomials], int)]
+
+
+def _last(monomial: Monomial) -> int:
+    """Return the last variable of a monomial."""
+    return max(index for index, power in enumerate(monomial) if power)
+
+
+def _without_last(monomial: Monomial) -> Monomial:
+    last = _last(monomial)
+    return (*monomial[:last], monomial[last] - 1, *monomial[last + 1 :])

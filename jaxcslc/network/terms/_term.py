@@ -2,9 +2,11 @@
 
 import abc
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from jaxcslc.derivation import Coefficient
@@ -92,13 +94,27 @@ class AbstractManipulatorTerm(AbstractTerm):
     """A term of a robot's inverse dynamics, which says what it adds to each part of them."""
 
     @abc.abstractmethod
-    def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
-        """The term's share of M(q), (..., n, n)."""
+    def part(self, quantity: str, k: Coefficients, *motion: Joints) -> Float[Array, "..."]:
+        """Compute the term's share of a part of the dynamics.
 
-    @abc.abstractmethod
-    def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
-        """The term's share of V(q, qd), (..., n)."""
+        - `quantity`: `"mass_matrix"`, M(q) (..., n, n); `"velocity"`, V(q, qd) (..., n);
+          `"gravity"`, G(q) (..., n).
+        - `motion`: positions, for V velocities too.
+        """
 
-    @abc.abstractmethod
-    def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
-        """The term's share of G(q), (..., n)."""
+
+def hash_of(*values: Any) -> int:
+    """Hash values, arrays by their numbers.
+
+    `jax.jit(network.torque)` looks the method up by the hash of its terms, and arrays have none.
+    """
+    return hash(tuple(map(_hashable, values)))
+
+
+def _hashable(value: Any) -> Any:
+    if isinstance(value, Tracer):
+        return id(value)
+    if isinstance(value, np.ndarray | Array):
+        numbers = np.asarray(value)
+        return numbers.shape, numbers.tobytes()
+    return value

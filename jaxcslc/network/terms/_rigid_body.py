@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxcslc.codegen import CompiledProgram, Motion, StraightLine, Value
 
-from ._term import AbstractManipulatorTerm, Coefficients, Columns, Joints, Matrices, Regressor, Rows
+from ._term import AbstractManipulatorTerm, Coefficients, Columns, Joints, Regressor, Rows
 
 
 PARTS = ("mass", "velocity", "gravity")
@@ -102,14 +102,9 @@ class AbstractRigidBody(AbstractManipulatorTerm):
     def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
         return self._values("torque", k, q, qd, qdd)
 
-    def velocity_term(self, k: Coefficients, q: Joints, qd: Joints) -> Joints:
-        return self._values("velocity", k, q, qd)
-
-    def gravity_term(self, k: Coefficients, q: Joints) -> Joints:
-        return self._values("gravity", k, q)
-
-    def mass_matrix(self, k: Coefficients, q: Joints) -> Matrices:
-        return self._values("mass_matrix", k, q).reshape(*q.shape, q.shape[-1])
+    def part(self, quantity: str, k: Coefficients, *motion: Joints) -> Float[Array, "..."]:
+        values, n = self._values(quantity, k, *motion), motion[0].shape[-1]
+        return values.reshape(*motion[0].shape, n) if quantity == "mass_matrix" else values
 
 
 @lru_cache(maxsize=256)  # terms without arrays, which are compared by their tables or bodies
