@@ -58,7 +58,7 @@ def test_corrected_coefficients_are_the_exact_ones(
     solution = minimum(unknowns, factors_of(puma, motion)[0], weights, None)
     assert least < solution.condition < 20.0 * least
     sums = np.asarray(_sums(puma, solution.k, *map(jnp.asarray, motion), on_gpu=on_gpu))
-    fit = corrected(unknowns, solution, weights, [sums])
+    fit = corrected(unknowns, solution, weights, sums[None])
     deviation = np.sqrt(solution.variance * np.diag(solution.inverse_gram))
     error = np.abs(fit.k - exact_coefficients(puma, motion)) / deviation
     assert np.max(error) < _STANDARD_ERRORS
@@ -104,8 +104,8 @@ def test_a_fit_in_pieces_is_corrected(
     q, qd, qdd = (x[:600] for x in exciting_motion)
     noise = 1e-4 * np.random.default_rng(4).normal(size=q.shape)
     patterns = patterns_of(puma, puma_k, (q, qd, qdd), noise)
-    monkeypatch.setattr("jaxcslc.least_squares._streaming._CPU_LENGTH", 128)
-    monkeypatch.setattr("jaxcslc.least_squares._compiled._HOST_SAMPLES", 128)
+    monkeypatch.setattr("jaxcslc.least_squares._blocks._CPU_LENGTH", 128)
+    monkeypatch.setattr("jaxcslc.least_squares._blocks.LONG", 128)
     fit = ORDINARY.fit(puma, patterns)
     exact = exact_coefficients(puma, (q, qd, qdd, np.asarray(patterns.torque)))
     assert np.max(np.abs(fit.k - exact) / np.asarray(fit.standard_error)) < _OF_ACCURATE_TORQUES
