@@ -101,6 +101,7 @@ from ._products import (
     Preconditioner as Preconditioner,
     corrected as corrected,
     factors_of as factors_of,
+    kernel_of as kernel_of,
     needs_correction as needs_correction,
     residual_sums as residual_sums,
 )

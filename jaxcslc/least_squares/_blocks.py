@@ -24,8 +24,16 @@ from ..recordings import Patterns
 from ._columns import LONG
 from ._equations import equations_of
 from ._factors import JointFactors, joined_factors
-from ._host_kernel import HostKernel, host_kernel_of
-from ._products import Motion, Preconditioner, factors_of, residual_sums, sample_of
+from ._gpu_kernel import GramKernel
+from ._host_kernel import HostKernel
+from ._products import (
+    Motion,
+    Preconditioner,
+    factors_of,
+    kernel_of,
+    residual_sums,
+    sample_of,
+)
 
 
 # Patterns of a block: large enough that the overhead of a compiled call vanishes.
@@ -49,13 +57,13 @@ class Blocks(NamedTuple):
 
     - `blocks`: read once.
     - `workers`: number of blocks that are factorised at a time.
-    - `kernel`: for blocks of NumPy's arrays; None for blocks on devices.
+    - `kernel`: of `kernel_of`.
     - `of_all_processes`: whether every process has read some of the blocks.
     """
 
     blocks: Iterable[Block]
     workers: int
-    kernel: HostKernel | None = None
+    kernel: HostKernel | GramKernel | None
     of_all_processes: bool = False
 
 
@@ -67,11 +75,11 @@ def blocks_of_chunks(
     - `workers`: number of blocks at a time; by default one a core, or three a GPU.
     """
     devices = jax.local_devices()
-    on_cpu = devices[0].platform == "cpu"
-    kernel = host_kernel_of(network) if on_cpu else None
-    workers = workers or (core_count() if on_cpu else _GPU_WORKERS * len(devices))
-    targets = itertools.cycle(devices if kernel is None else [None])
-    pieces = _regular(network, chunks, _CPU_LENGTH if on_cpu else _GPU_LENGTH)
+    kernel = kernel_of(network, devices[0].platform)
+    on_gpu = isinstance(kernel, GramKernel)
+    workers = workers or (_GPU_WORKERS * len(devices) if on_gpu else core_count())
+    targets = itertools.cycle(devices if on_gpu else [None])
+    pieces = _regular(network, chunks, _GPU_LENGTH if on_gpu else _CPU_LENGTH)
     blocks = (partial(_loaded, *piece, device=next(targets)) for piece in pieces)
     return Blocks(blocks, workers, kernel)
 
@@ -81,12 +89,13 @@ def blocks_of_patterns(network: AbstractLinearNetwork, patterns: Patterns) -> Bl
     spread = _are_spread(patterns.q)
     if not spread and (isinstance(patterns.q, np.ndarray) or platform_of(patterns.q) == "cpu"):
         return blocks_of_chunks(network, [patterns])
+    kernel = kernel_of(network, platform_of(patterns.q))
     motion: Any = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, patterns.mask)
     if not spread:
-        return Blocks([lambda: jax.device_put(motion)], 1)
+        return Blocks([lambda: jax.device_put(motion)], 1, kernel)
     shards = [{x.device: x.data for x in of_all.addressable_shards} for of_all in motion]
     blocks = [partial(tuple, [x[device] for x in shards]) for device in shards[0]]
-    return Blocks(blocks, len(blocks), of_all_processes=not motion[0].is_fully_addressable)
+    return Blocks(blocks, len(blocks), kernel, not motion[0].is_fully_addressable)
 
 
 def factors_of_blocks(network: AbstractLinearNetwork, read: Blocks) -> JointFactors:
@@ -99,16 +108,17 @@ def factors_of_blocks(network: AbstractLinearNetwork, read: Blocks) -> JointFact
     parts: list[JointFactors] = []
     preconditioner: Preconditioner | None = None
     with ThreadPoolExecutor(read.workers) as pool:
-        waiting: deque[Future[tuple[JointFactors, Preconditioner]]] = deque()
+        waiting: deque[Future[tuple[JointFactors, Preconditioner | None]]] = deque()
         for block in read.blocks:
-            if preconditioner is None:
-                preconditioner = sample_of(network, block(), read.kernel)
+            if preconditioner is None and read.kernel is not None:
+                preconditioner = sample_of(block(), read.kernel)
             if len(waiting) >= 2 * read.workers:
                 part, preconditioner = waiting.popleft().result()
                 parts.append(part)
             if len(parts) >= _MOST_PARTS:
                 parts = [joined_factors(parts)]
-            waiting.append(pool.submit(_factors_of_block, network, block, preconditioner, read))
+            factorise = lambda block, last: factors_of(network, block(), read.kernel, last)
+            waiting.append(pool.submit(factorise, block, preconditioner))
         parts += [future.result()[0] for future in waiting]
     if not parts:
         raise ValueError("there are no patterns in the stream")
@@ -181,12 +191,6 @@ def shard_patterns(patterns: Patterns, devices: Sequence[Any] | None = None) -> 
 
 def _are_spread(x: Array | np.ndarray) -> bool:
     return isinstance(x, jax.Array) and len(x.sharding.device_set) > 1
-
-
-def _factors_of_block(
-    network: AbstractLinearNetwork, block: Block, preconditioner: Preconditioner, read: Blocks
-) -> tuple[JointFactors, Preconditioner]:
-    return factors_of(network, block(), preconditioner, kernel=read.kernel)
 
 
 _residual_sums: Any = eqx.filter_jit(residual_sums)

@@ -1,27 +1,25 @@
 """Factors of many patterns at the speed of matrix products, and refinement of their solution.
 
 A pivoted factor of a sample of rows makes rows nearly orthonormal, so that products of them lose
-little. Kernels compute the products on a processor or on a GPU, and JAX where they cannot run. Sums
-of residuals in double words refine the solution.
+little. Kernels compute the products on a processor or on a GPU. Sums of residuals in double words
+refine the solution.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
 from jaxtyping import Array, Float, Shaped
 
-from .._environment import array_namespace, platform_of
 from ..network import AbstractLinearNetwork
 from ..recordings import Patterns
 from ._equations import dense_factors
 from ._factors import JointFactors, Unknowns, triangle_of
-from ._gpu_kernel import fused_gram_matrices, fused_kernel_of
-from ._host_kernel import HostKernel
+from ._gpu_kernel import GramKernel, fused_kernel_of
+from ._host_kernel import HostKernel, host_kernel_of
 from ._minimum import Numbers, Solution
 
 
@@ -35,15 +33,8 @@ _SHIFT = 1e-8
 LARGEST_ERROR = 100.0
 # Columns behind a preconditioner count as zero up to this, in the same units.
 _NEGLIGIBLE = 0.5 * LARGEST_ERROR
-# Patterns whose factor, of a sample of them, makes the columns of all nearly orthonormal: with 30
-# columns, a condition number of about 1.2.
-SAMPLE = 4096
 # Each factor that is not good enough is the preconditioner of the next.
 _PASSES = 3
-# Patterns that are expanded into regressor rows at once, and of which a product is formed: on a
-# CPU what fits into a core's cache; on a GPU as many such products as keep all of it busy.
-_CPU_ROWS, _CPU_PRODUCTS = 2048, 1
-_GPU_ROWS, _GPU_PRODUCTS = 1024, 128
 
 Motion = tuple[Array | np.ndarray, ...]
 """q, qd, qdd (samples, m), torque and weight (samples, n), on the host or on a device."""
@@ -168,13 +159,18 @@ def _triangle_and_error(factor: np.ndarray, gram: np.ndarray) -> tuple[np.ndarra
     return triangle_of(half), float(error)
 
 
+def kernel_of(network: AbstractLinearNetwork, platform: str) -> HostKernel | GramKernel | None:
+    """Return what multiplies a network's columns: for a GPU, or else for the host; None without."""
+    kernel = None if platform == "cpu" else fused_kernel_of(network)
+    return kernel or host_kernel_of(network)
+
+
 def factors_of(
     network: AbstractLinearNetwork,
     motion: Motion,
+    kernel: HostKernel | GramKernel | None,
     preconditioner: Preconditioner | None = None,
-    *,
-    kernel: HostKernel | None = None,
-) -> tuple[JointFactors, Preconditioner]:
+) -> tuple[JointFactors, Preconditioner | None]:
     """Return the factors of many patterns, at the speed of matrix products.
 
     Cholesky QR behind a preconditioner: rows are multiplied by the inverse of the factor of a
@@ -187,137 +183,32 @@ def factors_of(
 
     **Arguments**
 
-    - `motion`: one program of JAX's is compiled for a number of samples.
+    - `kernel`: of `kernel_of`; without one, reflections alone.
     - `preconditioner`: of other patterns like them; of a sample of these if None.
-    - `kernel`: computes products of NumPy's arrays in place of JAX.
 
     **Returns** the factors, NumPy's, and the preconditioner that served.
     """
-    if preconditioner is None:
-        preconditioner = sample_of(network, motion, kernel)
-    for _ in range(_PASSES):
-        *grams, counts = _products(network, preconditioner.inverses, motion, kernel)
-        triangles, errors = triangles_of(preconditioner, grams)
-        # Rows that are not finite, whose errors are NaN, have no better factors.
-        if np.max(np.nan_to_num(errors)) < LARGEST_ERROR:
-            return JointFactors(triangles, counts), preconditioner
-        preconditioner = Preconditioner.of_rows(triangles)
+    if kernel is not None:
+        if preconditioner is None:
+            preconditioner = sample_of(motion, kernel)
+        for _ in range(_PASSES):
+            *grams, counts = kernel.products(preconditioner.inverses, *motion)
+            triangles, errors = triangles_of(preconditioner, grams)
+            # Rows that are not finite, whose errors are NaN, have no better factors.
+            if np.max(np.nan_to_num(errors)) < LARGEST_ERROR:
+                return JointFactors(triangles, counts), preconditioner
+            preconditioner = Preconditioner.of_rows(triangles)
     q, qd, qdd, torque, weight = (np.asarray(x) for x in motion)
     time, pairs = np.arange(len(q)) * 1.0, weight != 0
     patterns = Patterns(time, q, qd, qdd, torque, pairs, pairs)
     return dense_factors(network, patterns), preconditioner
 
 
-def sample_of(
-    network: AbstractLinearNetwork, motion: Motion, kernel: HostKernel | None = None
-) -> Preconditioner:
+def sample_of(motion: Motion, kernel: HostKernel | GramKernel) -> Preconditioner:
     """Return the preconditioner of patterns that are spread over all."""
-    # Behind nothing: where a kernel runs, no other program of the columns is compiled.
-    identities = tuple(np.eye(len(support) + 1) for support in network.support)
-    if isinstance(motion[0], np.ndarray):  # of the host's arrays the sample alone goes to a device
-        motion = tuple(_spread(x) for x in motion)
-    *grams, _ = _products(network, identities, motion, kernel, sample=True)
+    identities = tuple(map(np.eye, kernel.sizes))
+    *grams, _ = kernel.products(identities, *motion, sample=True)
     return Preconditioner.of_products(grams)
-
-
-def _spread(x: Any) -> Any:
-    return x[:: max(len(x) // SAMPLE, 1)][:SAMPLE]
-
-
-def _products(
-    network: AbstractLinearNetwork,
-    inverses: tuple[np.ndarray, ...],
-    motion: Motion,
-    kernel: HostKernel | None,
-    *,
-    sample: bool = False,
-) -> list[np.ndarray]:
-    """Return the products of each joint's rows behind inverses, and numbers of equations."""
-    if kernel is not None:
-        motion_of_host: Any = motion
-        return [*kernel.products(inverses, *motion_of_host)]
-    arrays = [jnp.asarray(x) for x in motion]
-    # Where the patterns are: with a GPU at hand, a caller may still keep to the processor.
-    on_gpu = platform_of(arrays[0]) != "cpu"
-    numbers = _compiled_products(network, _packed(inverses), *arrays, on_gpu=on_gpu, sample=sample)
-    return _unpacked(network, np.asarray(numbers))
-
-
-@eqx.filter_jit
-def _compiled_products(
-    network: AbstractLinearNetwork,
-    inverses: Float[Array | np.ndarray, " packed"],
-    *motion: Shaped[Array, "samples _"],
-    on_gpu: bool,
-    sample: bool,
-) -> Float[Array, " numbers"]:
-    motion = tuple(map(_spread, motion)) if sample else motion
-    grams = gram_matrices(network, tuple(_unpacked(network, inverses)), *motion, on_gpu=on_gpu)
-    return _packed([*grams, jnp.sum(motion[-1] != 0, axis=0).astype(float)])
-
-
-def _packed(arrays: Sequence[Any]) -> Any:
-    """Numbers of several arrays as one: it is copied between host and device as fast as each."""
-    return array_namespace(*arrays).concatenate([x.ravel() for x in arrays])
-
-
-def _unpacked(network: AbstractLinearNetwork, numbers: Any) -> list[Any]:
-    """Unpack numbers: per joint a matrix (s + 1, s + 1), then the numbers after these, if any."""
-    sizes = [len(support) + 1 for support in network.support]
-    ends = np.cumsum([size**2 for size in sizes]).tolist()
-    *matrices, others = array_namespace(numbers).split(numbers, ends)
-    arrays = [x.reshape(size, size) for x, size in zip(matrices, sizes, strict=True)]
-    return [*arrays, others] if len(others) else arrays
-
-
-def gram_matrices(
-    network: AbstractLinearNetwork,
-    inverses: tuple[Float[Array | np.ndarray, "_ _"], ...],
-    q: Float[Array, "samples motion"],
-    qd: Float[Array, "samples motion"],
-    qdd: Float[Array, "samples motion"],
-    torque: Float[Array, "samples joints"],
-    weight: Shaped[Array, "samples joints"],
-    *,
-    on_gpu: bool,
-) -> tuple[Float[Array, "_ _"], ...]:
-    """Return the products of each joint's weighted rows behind a preconditioner, (s + 1, s + 1).
-
-    Pure, and its memory beyond the arguments is one block of patterns; none where a kernel
-    computes columns and their products at once.
-    """
-    weight = weight.astype(float)  # a mask as a rule
-    if on_gpu and (kernel := fused_kernel_of(network)) is not None:
-        return fused_gram_matrices(kernel, inverses, q, qd, qdd, torque, weight)
-    rows, products = (_GPU_ROWS, _GPU_PRODUCTS) if on_gpu else (_CPU_ROWS, _CPU_PRODUCTS)
-    samples = len(q)
-    products = max(min(products, samples // rows), 1)
-    size = products * rows
-
-    def block_of(start: Array) -> tuple[Array, ...]:
-        """Reshape (samples, columns) to (products, columns, rows)."""
-        return tuple(
-            jnp.swapaxes(x.reshape(products, rows, x.shape[1]), 1, 2)
-            for x in block_at((q, qd, qdd, torque, weight), start, size)
-        )
-
-    def product(*block: Array) -> tuple[Array, ...]:
-        return tuple(
-            (transformed := transposed @ joint_rows) @ transformed.T
-            for transposed, joint_rows in zip(behind, weighted_rows(network, *block), strict=True)
-        )
-
-    def step(total: tuple[Array, ...], start: Array) -> tuple[tuple[Array, ...], None]:
-        block = block_of(start)
-        if products == 1:
-            added = product(*(x[0] for x in block))
-        else:
-            added = jax.tree.map(lambda x: jnp.sum(x, axis=0), jax.vmap(product)(*block))
-        return jax.tree.map(jnp.add, total, added), None
-
-    behind = [jnp.asarray(inverse).T for inverse in inverses]
-    empty = tuple(jnp.zeros_like(inverse) for inverse in behind)
-    return jax.lax.scan(step, empty, jnp.arange(0, max(samples, 1), size))[0]
 
 
 def block_at(motion: Sequence[Array], start: Array, size: int) -> tuple[Array, ...]:

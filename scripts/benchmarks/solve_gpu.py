@@ -24,7 +24,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 import jaxcslc as jc
 from jaxcslc._environment import core_count
-from jaxcslc.least_squares import Unknowns, dense_factors, factors_of, minimum
+from jaxcslc.least_squares import Unknowns, dense_factors, factors_of, kernel_of, minimum
 from scripts.benchmarks.exact_solution import exact_coefficients
 from scripts.benchmarks.metrics import Metric, best_of
 
@@ -137,6 +137,7 @@ def accuracy(name: str) -> Iterator[Row]:
     network = network_named(name)
     n, cpu = network.joint_count, jax.devices("cpu")[0]
     unknowns, weights = Unknowns.of(network), np.ones(n)
+    kernel = kernel_of(network, jax.default_backend())
     motions = {"all": np.ones(n), "1e-2": np.full(n, 1e-2), "1e-3": np.full(n, 1e-3)}
     motions["third joint still"] = np.where(np.arange(n) == 2, 0.0, 1.0)
     for motion_name, scale in motions.items():
@@ -150,7 +151,7 @@ def accuracy(name: str) -> Iterator[Row]:
         instants, mask = np.arange(float(len(q))), np.ones(q.shape, bool)
         on_host = jc.Patterns(instants, q, qd, qdd, noisy, mask, mask)
         reflected = minimum(unknowns, dense_factors(network, on_host), weights, None)
-        products = minimum(unknowns, factors_of(network, motion)[0], weights, None)
+        products = minimum(unknowns, factors_of(network, motion, kernel)[0], weights, None)
         row: Row = {
             "row": f"{name}, motion {motion_name}",
             "condition": float(reflected.condition),

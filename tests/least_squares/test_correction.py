@@ -12,6 +12,7 @@ from jaxcslc.least_squares import (
     Unknowns,
     corrected,
     factors_of,
+    host_kernel_of,
     minimum,
     needs_correction,
     residual_sums,
@@ -55,7 +56,7 @@ def test_corrected_coefficients_are_the_exact_ones(
     """Oracle: the normal equations of the same rows in numbers of 400 bits."""
     motion = motion_of(puma, puma_k, exciting_motion, scale)
     unknowns, weights = Unknowns.of(puma), np.ones(6)
-    solution = minimum(unknowns, factors_of(puma, motion)[0], weights, None)
+    solution = minimum(unknowns, factors_of(puma, motion, host_kernel_of(puma))[0], weights, None)
     assert least < solution.condition < 20.0 * least
     sums = np.asarray(_sums(puma, solution.k, *map(jnp.asarray, motion), on_gpu=on_gpu))
     fit = corrected(unknowns, solution, weights, sums[None])
@@ -87,7 +88,7 @@ def test_what_needs_correction(puma: jc.CSLC, puma_k: jax.Array, exciting_motion
     def needed(scale: float, noise: float) -> bool:
         *states, torque, weight = motion_of(puma, puma_k, exciting_motion, scale)
         torque = torque + noise * np.random.default_rng(3).normal(size=torque.shape)
-        factors, _ = factors_of(puma, (*states, torque, weight))
+        factors, _ = factors_of(puma, (*states, torque, weight), host_kernel_of(puma))
         with np.errstate(invalid="ignore"):
             solution = minimum(unknowns, factors, weights, None)
         return needs_correction(unknowns, factors, solution, weights)
