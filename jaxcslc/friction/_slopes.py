@@ -13,16 +13,16 @@ from ..least_squares import (
     Equations,
     Identification,
     JointFactors,
-    KeptRows,
     LeastSquares,
+    Rows,
     Solution,
     Unknowns,
+    joint_weights_of,
     minimum,
     minimum_coefficients,
     residual_weights,
     robust_weights,
     triangle_of,
-    weighted_minimum,
 )
 from ..network import CSLC
 from ..recordings import Patterns
@@ -195,9 +195,8 @@ class SlopeEquations:
         """
         count, p = len(self.joints), self.unknowns.size - len(self.joints)
         factors = self.factors(slopes, np.ones(count))
-        k = minimum_coefficients(
-            self.unknowns, self.factors(slopes, np.zeros(count)), weights, rcond
-        ).k
+        fixed_slopes = self.factors(slopes, np.zeros(count))
+        k = minimum_coefficients(self.unknowns, fixed_slopes, weights, rcond)
         rows = factors.stacked(self.unknowns, weights)
         columns, torque = np.asarray(rows[:, :p]), np.asarray(rows[:, -1])
         changes = np.asarray(rows[:, p:-1]) * k[list(self.columns)]
@@ -416,14 +415,10 @@ def _fitted_slopes(
         plain = dataclasses.replace(solver, errors="independent")
         k = np.asarray(plain.fit_equations(equations.plain(slopes), equations.samples).k)
     else:
-        k = weighted_minimum(
-            equations.unknowns,
-            factors := equations.factors(slopes, np.zeros(len(slopes))),
-            solver.joint_weights,
-            lambda weights: minimum_coefficients(
-                equations.unknowns, factors, weights, solver.rcond
-            ),
-        )[0].k[: equations.unknowns.size - len(slopes)]
+        unknowns, factors = equations.unknowns, equations.factors(slopes, np.zeros(len(slopes)))
+        weights = joint_weights_of(unknowns, factors, solver.joint_weights, solver.rcond)
+        k = minimum_coefficients(unknowns, factors, weights, solver.rcond)
+        k = k[: unknowns.size - len(slopes)]
     rounds = _ROBUST_ROUNDS if robust else _ROUNDS if by_residual else 1
     weights = np.ones(equations.joint_count)
     if not isinstance(solver.joint_weights, str):
@@ -432,10 +427,10 @@ def _fitted_slopes(
     search = None
     for number in range(rounds):
         if robust:
-            rows = KeptRows.from_equations(equations.plain(slopes), equations.samples)
-            roots, scale = robust_weights(rows, jnp.asarray(k), solver.loss)
-            equations = equations.reweighted(np.asarray(roots))
-            weights = 1.0 / np.asarray(scale) if by_residual else weights
+            rows = Rows.from_equations(equations.plain(slopes), equations.samples)
+            roots, scale = robust_weights(rows, k, solver.loss)
+            equations = equations.reweighted(roots)
+            weights = 1.0 / scale if by_residual else weights
         elif by_residual:
             factors = equations.factors(slopes, np.zeros(len(slopes)))
             k_all = np.append(k, np.zeros(len(slopes)))

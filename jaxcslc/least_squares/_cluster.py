@@ -6,7 +6,7 @@ Workers derive the network again and return triangular factors (`_factors`, `_st
 import contextlib
 import csv
 import dataclasses
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
@@ -19,18 +19,15 @@ from .._scratch import unfinished
 from ..manipulator import Manipulator, Mimic
 from ..network import CSLC, RigidBodyTables, derive
 from ..recordings import Patterns, Recording, iterate_recording, load_recording
-from ._equations import pattern_factors
+from ._blocks import are_many, blocks_of_chunks, factors_of_blocks
 from ._factors import JointFactors, joined_factors
 from ._identification import Identification, result_of
 from ._least_squares import LeastSquares
 from ._settings import Settings
-from ._streaming import factors_of_stream
 
 
 # Rows of a file that are read at once.
 _ROWS = 1 << 16
-# Samples from which on a recording is factorised in pieces.
-_LONG = 1 << 17
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,14 +109,14 @@ def block_factors(path: str, work: Work) -> JointFactors:
 def _block_factors(path: str, work: Work) -> JointFactors:
     network = derived(work.derivation)
     if work.settings is None:
-        return factors_of_stream(network, _patterns_as_recorded(path, network), workers=1)
-    recording = load_recording(path) if work.read is None else work.read(Path(path))
-    patterns, solver = work.settings.patterns(recording), work.settings.solver
-    if solver.cutoff is not None:
-        return solver.equations(network, patterns).factors()
-    if patterns.samples >= _LONG:
-        return factors_of_stream(network, [patterns], workers=1)
-    return jax.tree.map(np.asarray, pattern_factors(network, patterns))
+        chunks: Iterable[Patterns] = _patterns_as_recorded(path, network)
+    else:
+        recording = load_recording(path) if work.read is None else work.read(Path(path))
+        patterns, solver = work.settings.patterns(recording), work.settings.solver
+        if solver.cutoff is not None or not are_many(patterns):
+            return solver.equations(network, patterns).factors()
+        chunks = [patterns]
+    return factors_of_blocks(network, blocks_of_chunks(network, chunks, workers=1))
 
 
 def _patterns_as_recorded(path: str, network: CSLC) -> Iterator[Patterns]:

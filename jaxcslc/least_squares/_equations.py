@@ -1,6 +1,7 @@
-"""Equations of a recording, by joint, with or without a parallel filter.
+"""Equations of a recording, by joint.
 
-Made of the columns of `_compiled`; `_factors` factorises them.
+`Equations` are rows of regressor columns and torque, as recorded or as a parallel filter has made
+them. `WeightedEquations` are linear in changes of them.
 """
 
 from collections.abc import Collection, Sequence
@@ -11,29 +12,18 @@ from jaxtyping import Bool, Float, Int
 
 from ..network import AbstractLinearNetwork
 from ..recordings import (
-    FilteredEquations,
     Patterns,
     decimated_low_pass,
     decimation_for,
     parallel_filter,
     uniform_interval,
 )
-from ._compiled import (
-    HostColumns,
-    columns_in,
-    columns_of,
-    computed_on_host,
-    filled_up,
-    regressor_of,
-    rows_of,
-    stretches_of,
-    traced,
-)
-from ._factors import JointFactors, Unknowns, factorise
-from ._streaming import are_many, factors_of_patterns
+from ._columns import LONG, HostColumns, columns_of, rows_of
+from ._factors import JointFactors, Unknowns, joined_factors
 
 
-# After so many periods of its cut-off the zero-phase filter has forgotten to ten digits.
+# Periods of its cut-off after which the zero-phase filter has forgotten to ten digits: its slowest
+# pole, of a Butterworth filter of order four, decays by exp(-2 pi 0.38) in each.
 _MEMORY = 10.0
 
 
@@ -63,7 +53,8 @@ class Equations(eqx.Module):
         cutoff: float | None,
     ) -> "Equations":
         """Return the equations of a whole regressor; arguments as of `of_columns`."""
-        columns = columns_in(unknowns.support, regressor)
+        joints = enumerate(unknowns.support)
+        columns = tuple(regressor[:, joint, list(some)].T for joint, some in joints)
         return cls.of_columns(unknowns, columns, torque, mask, time=time, cutoff=cutoff)
 
     @classmethod
@@ -76,46 +67,37 @@ class Equations(eqx.Module):
         *,
         time: Float[np.ndarray, " samples"],
         cutoff: float | None,
+        kept: Int[np.ndarray, " kept"] | None = None,
     ) -> "Equations":
-        """The equations of the pairs that count, or those that a parallel filter makes of them.
+        """Return the equations of the pairs that count, or a parallel filter's of them.
 
         - `columns`: of the regressor, for each joint those of its support.
+        - `kept`: samples that the filter keeps; by default every so many.
         """
-        if cutoff is not None:
-            interval = uniform_interval(time)
-            filtered = [
-                parallel_filter(
+        interval = None if cutoff is None else uniform_interval(time)
+        rows: list[np.ndarray] = []
+        samples: list[np.ndarray] = []
+        for joint_columns, right, counts in zip(columns, torque.T, mask.T, strict=True):
+            if cutoff is None or interval is None:
+                sample = np.flatnonzero(counts)
+                sides = np.empty((len(joint_columns) + 1, sample.size))
+                # Indices that exist need no check, which takes as long as to copy the rows.
+                np.take(joint_columns, sample, axis=1, out=sides[:-1], mode="clip")
+                np.take(right, sample, out=sides[-1], mode="clip")
+                rows.append(sides.T)
+            else:
+                filtered = parallel_filter(
                     joint_columns.T[:, None],
                     right[:, None],
                     counts[:, None],
                     interval=interval,
                     cutoff=cutoff,
+                    kept=kept,
                 )
-                for joint_columns, right, counts in zip(columns, torque.T, mask.T, strict=True)
-            ]
-            rows = [np.concatenate([x.regressor, x.torque[:, None]], axis=1) for x in filtered]
-            return cls(unknowns, tuple(rows), tuple(x.sample for x in filtered))
-        samples = [np.flatnonzero(column) for column in mask.T]
-        rows = []
-        for joint_columns, right, kept in zip(columns, torque.T, samples, strict=True):
-            sides = np.empty((len(joint_columns) + 1, kept.size))
-            # Indices that exist need no check, which takes NumPy twice as long as to copy the rows.
-            np.take(joint_columns, kept, axis=1, out=sides[:-1], mode="clip")
-            np.take(right, kept, out=sides[-1], mode="clip")
-            rows.append(sides.T)
+                rows.append(np.column_stack([filtered.regressor, filtered.torque]))
+                sample = filtered.sample
+            samples.append(sample)
         return cls(unknowns, tuple(rows), tuple(samples))
-
-    @classmethod
-    def of_filtered(cls, unknowns: Unknowns, filtered: FilteredEquations) -> "Equations":
-        """Return the equations that a parallel filter has made of a whole regressor."""
-        joints = [filtered.joint == joint for joint in range(len(unknowns.support))]
-        rows = [
-            np.concatenate(
-                [filtered.regressor[kept][:, list(support)], filtered.torque[kept, None]], axis=1
-            )
-            for support, kept in zip(unknowns.support, joints, strict=True)
-        ]
-        return cls(unknowns, tuple(rows), tuple(filtered.sample[kept] for kept in joints))
 
     def without(self, indices: Collection[int]) -> "Equations":
         """Return the equations with the columns of these coefficients set to zero."""
@@ -198,11 +180,11 @@ class Equations(eqx.Module):
         ]
 
     def factors(self) -> JointFactors:
-        """The factors of all equations, as NumPy's arrays."""
+        """Return the factors of all equations."""
         return JointFactors.of_rows(self.rows, np.array([float(len(rows)) for rows in self.rows]))
 
     def factors_of_folds(self, fold: Int[np.ndarray, " samples"], folds: int) -> JointFactors:
-        """The factors of each fold by itself, all arrays with a leading axis of folds."""
+        """Return the factors of each fold by itself, all arrays with a leading axis of folds."""
         rows: list[np.ndarray] = []
         counts: list[np.ndarray] = []
         for all_rows, sample in zip(self.rows, self.sample, strict=True):
@@ -228,7 +210,7 @@ class Equations(eqx.Module):
 def samples_of(
     fold: Int[np.ndarray, " samples"], number: int
 ) -> slice | Int[np.ndarray, " of_fold"]:
-    """An index of the samples of a fold: a slice, which copies nothing, where it is a stretch."""
+    """Return an index of the samples of a fold: a slice, which copies nothing, where it can be."""
     samples = np.flatnonzero(fold == number)
     if samples.size and samples[-1] - samples[0] + 1 == samples.size:
         return slice(int(samples[0]), int(samples[-1]) + 1)
@@ -241,84 +223,46 @@ def equations_of(
     cutoff: float | None,
     columns: HostColumns | None = None,
 ) -> Equations:
-    """Return one equation per pair that counts, or those of a parallel filter; on the host."""
-    samples = len(patterns.q)
-    stretches = stretches_of(network, samples) if columns is None else []
-    if len(stretches) > 1 and cutoff is not None:
-        return _filtered_in_stretches(network, patterns, cutoff, stretches[0].stop)
-    if len(stretches) > 1:
-        length = stretches[0].stop
-        parts = [
-            equations_of(network, part, None, columns_of(network, part, length))
-            for part in (rows_of(patterns, rows) for rows in stretches)
-        ]
-        return _joined(parts, [rows.start for rows in stretches])
-    return Equations.of_columns(
-        Unknowns.of(network),
-        columns_of(network, patterns) if columns is None else columns,
-        np.asarray(patterns.torque),
-        np.asarray(patterns.mask),
-        time=np.asarray(patterns.time),
-        cutoff=cutoff,
-    )
+    """Return one equation per pair that counts, or those of a parallel filter; on the host.
 
+    A long recording is filtered in stretches, whose columns fit into memory: each with as much of
+    its neighbours as the filter remembers to ten digits.
 
-def pattern_factors(network: AbstractLinearNetwork, patterns: Patterns) -> JointFactors:
-    """The factors of all pairs that count: on the host, or of long recordings compiled."""
-    motion = (patterns.q, patterns.qd, patterns.qdd)
-    if computed_on_host(network, *motion, patterns.torque):
-        return equations_of(network, patterns, None).factors()
-    if not traced(patterns) and are_many(patterns):
-        return factors_of_patterns(network, patterns)
-    weight = patterns.mask.astype(float)
-    return _factorise(network, *(filled_up(x) for x in (*motion, patterns.torque, weight)))
-
-
-_factorise = eqx.filter_jit(factorise)
-
-
-def _filtered_in_stretches(
-    network: AbstractLinearNetwork, patterns: Patterns, cutoff: float, length: int
-) -> Equations:
-    """The equations that a parallel filter makes of a long recording, whose regressor would not fit
-    into memory.
-
-    Each stretch is filtered with as much of its neighbours as the filter remembers to ten digits.
-
-    - `length`: of stretches with these parts of their neighbours, unless the filter reaches far.
+    - `columns`: of the regressor, if they are known already.
     """
-    interval, samples = uniform_interval(np.asarray(patterns.time)), len(patterns.q)
-    reach = int(np.ceil(_MEMORY / (cutoff * interval)))
-    decimation = decimation_for(cutoff, interval)
-    kept = np.arange((samples - 1) % decimation // 2, samples, decimation)
-    parts: list[Equations] = []
-    starts: list[int] = []
-    inside = max(length - 2 * reach, 2 * reach)
-    for first in range(0, samples, inside):
-        rows = slice(first, min(first + inside, samples))
-        start, stop = max(rows.start - reach, 0), min(rows.stop + reach, samples)
-        within = rows_of(patterns, slice(start, stop))
-        inner = kept[(kept >= rows.start) & (kept < rows.stop)] - start
-        filtered = parallel_filter(
-            np.asarray(regressor_of(network, within, length)),
-            np.asarray(within.torque),
-            np.asarray(within.mask),
-            interval=interval,
-            cutoff=cutoff,
-            kept=inner,
-        )
-        parts.append(Equations.of_filtered(Unknowns.of(network), filtered))
-        starts.append(start)
-    return _joined(parts, starts)
-
-
-def _joined(parts: Sequence[Equations], starts: Sequence[int]) -> Equations:
-    """Equations of parts of a recording that begin at these samples."""
-    return Equations(
-        parts[0].unknowns,
-        tuple(np.concatenate(rows) for rows in zip(*(part.rows for part in parts), strict=True)),
-        tuple(
-            np.concatenate([start + sample for start, sample in zip(starts, samples, strict=True)])
-            for samples in zip(*(part.sample for part in parts), strict=True)
-        ),
+    unknowns, samples = Unknowns.of(network), len(patterns.q)
+    time, torque, mask = (np.asarray(x) for x in (patterns.time, patterns.torque, patterns.mask))
+    if cutoff is None or columns is not None or samples <= LONG:
+        columns = columns_of(network, patterns) if columns is None else columns
+        return Equations.of_columns(unknowns, columns, torque, mask, time=time, cutoff=cutoff)
+    interval = uniform_interval(time)
+    reach, decimation = (
+        int(np.ceil(_MEMORY / (cutoff * interval))),
+        decimation_for(cutoff, interval),
     )
+    kept = np.arange((samples - 1) % decimation // 2, samples, decimation)
+    inside = max(LONG - 2 * reach, 2 * reach)
+    joined: Equations | None = None
+    for first in range(0, samples, inside):
+        start, stop = max(first - reach, 0), min(first + inside + reach, samples)
+        part = Equations.of_columns(
+            unknowns,
+            columns_of(network, rows_of(patterns, slice(start, stop))),
+            torque[start:stop],
+            mask[start:stop],
+            time=time[start:stop],
+            cutoff=cutoff,
+            kept=kept[(kept >= first) & (kept < first + inside)] - start,
+        )
+        joined = part if joined is None else joined.followed_by(part, start)
+    assert joined is not None
+    return joined
+
+
+def dense_factors(network: AbstractLinearNetwork, patterns: Patterns) -> JointFactors:
+    """Return the factors of all pairs that count, by reflections, chunk by chunk on the host."""
+    parts: list[JointFactors] = []
+    for start in range(0, max(len(patterns.q), 1), LONG):
+        chunk = rows_of(patterns, slice(start, start + LONG))
+        parts.append(equations_of(network, chunk, None).factors())
+    return joined_factors(parts)

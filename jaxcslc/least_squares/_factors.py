@@ -1,6 +1,6 @@
 """Triangular factors of equations, one triangle per joint, and how they are joined.
 
-Memory does not grow with the recording (thesis 4.1-4, 8.2.3). Read with `_minimum`.
+`triangle_of` is the dense route, of NumPy's arrays or of what JAX traces. Read with `_minimum`.
 """
 
 import dataclasses
@@ -14,17 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._environment import core_count
+from .._environment import array_namespace, core_count
 from ..network import AbstractLinearNetwork
 
 
-# Patterns that are expanded into regressor rows at once: their intermediates fit a core's cache.
-_BLOCK = 2048
-# Rows that are factorised at once, and cells of the matrix that they make. LAPACK libraries spread
-# larger factorisations over threads that then wait for each other: on two cores OpenBLAS took
-# 0.1 s for 2,048 x 29, and 0.6 ms for eight of 256 x 29; 56 matrices of 256 x 54 took 0.21 s, and
-# the same rows as 112 of 128 x 54 took 0.01 s.
-_ROWS = 256
+# Entries of a matrix that is factorised at once. LAPACK libraries spread larger ones over threads
+# that wait for each other: on two cores OpenBLAS took 0.1 s for 2,048 x 29, and 0.6 ms for eight of
+# 256 x 29.
 _CELLS = 7000
 # Entries of equations whose joints are worth threads of their own.
 _FEWEST_OF_THREADS = 1 << 20
@@ -91,46 +87,31 @@ class JointFactors(eqx.Module):
     counts: Float[Array | np.ndarray, "*batch joints"]
 
     @classmethod
-    def empty(cls, network: AbstractLinearNetwork) -> "JointFactors":
-        """The factors of no patterns."""
-        sizes = [len(support) + 1 for support in network.support]
-        return cls(tuple(jnp.zeros((size, size)) for size in sizes), jnp.zeros(network.joint_count))
-
-    @classmethod
     def of_rows(
         cls,
-        rows: tuple[Float[np.ndarray, "*batch _ _"], ...],
-        counts: Float[np.ndarray, "*batch joints"],
+        rows: tuple[Float[Array | np.ndarray, "*batch _ _"], ...],
+        counts: Float[Array | np.ndarray, "*batch joints"],
     ) -> "JointFactors":
-        """Factorise equations on the host, for each joint (..., rows, s + 1).
+        """Factorise equations, for each joint (..., rows, s + 1).
 
-        Joints with many equations are factorised in parallel.
+        On the host, joints with many equations are factorised in parallel.
         """
-        if sum(joint_rows.size for joint_rows in rows) < _FEWEST_OF_THREADS:
+        few = sum(joint_rows.size for joint_rows in rows) < _FEWEST_OF_THREADS
+        if few or array_namespace(*rows) is jnp:
             return cls(tuple(map(triangle_of, rows)), counts)
         with ThreadPoolExecutor(min(core_count(), len(rows))) as pool:
             return cls(tuple(pool.map(triangle_of, rows)), counts)
 
-    def joined(self, other: "JointFactors") -> "JointFactors":
-        """The factors of both sets of patterns together."""
-        return JointFactors(
-            tuple(
-                jnp.linalg.qr(jnp.concatenate([mine, theirs]), mode="r")
-                for mine, theirs in zip(self.triangles, other.triangles, strict=True)
-            ),
-            self.counts + other.counts,
-        )
-
     def joined_folds(self) -> "JointFactors":
-        """The factors of all folds together, of NumPy's arrays with a leading axis of folds."""
+        """Return the factors of all folds together; NumPy's arrays, folds first."""
         rows = (triangle.reshape(-1, triangle.shape[-1]) for triangle in self.triangles)
         return JointFactors.of_rows(tuple(map(np.asarray, rows)), np.sum(self.counts, axis=0))
 
     def stacked(
         self, unknowns: Unknowns, weights: Float[Array | np.ndarray, "*batch joints"]
     ) -> Float[Array | np.ndarray, "*batch _ columns"]:
-        """All triangles in the columns of all coefficients, joints scaled by their weights."""
-        xp = np if isinstance(self.counts, np.ndarray) else jnp
+        """Return all triangles in the columns of all coefficients, joints scaled by weights."""
+        xp = array_namespace(self.counts)
         rows: list[Any] = []
         for joint, (support, triangle) in enumerate(
             zip(unknowns.support, self.triangles, strict=True)
@@ -145,8 +126,8 @@ class JointFactors(eqx.Module):
     def root_mean_squares(
         self, unknowns: Unknowns, k: Float[Array | np.ndarray, "*batch coefficients"]
     ) -> Float[Array | np.ndarray, "*batch joints"]:
-        """Root mean square torque error of each joint, without seeing the patterns again."""
-        xp = np if isinstance(self.counts, np.ndarray) else jnp
+        """Return each joint's root mean square torque error, without seeing the patterns again."""
+        xp = array_namespace(self.counts)
         norms: list[Any] = []
         for support, triangle in zip(unknowns.support, self.triangles, strict=True):
             coefficients = k[..., np.array(support, dtype=int)]
@@ -155,66 +136,8 @@ class JointFactors(eqx.Module):
         return xp.stack(norms, axis=-1) / xp.sqrt(xp.maximum(self.counts, 1.0))
 
 
-def factorise(
-    network: AbstractLinearNetwork,
-    q: Float[Array, "samples motion"],
-    qd: Float[Array, "samples motion"],
-    qdd: Float[Array, "samples motion"],
-    torque: Float[Array, "samples joints"],
-    weight: Float[Array, "samples joints"],
-    *,
-    factors: JointFactors | None = None,
-) -> JointFactors:
-    """The factors of patterns, joined to those of earlier ones (thesis 4.1-4, 8.2.3).
-
-    `weight` multiplies both sides of each joint's equation: 0 leaves a pair out, 1 takes it.
-    Pure, and its memory beyond the arguments is one block of patterns.
-    """
-    samples = len(q)
-    size = min(_BLOCK, -(-samples // _ROWS) * _ROWS)
-    blocks = -(-samples // size)
-    padding = blocks * size - samples
-
-    def blocked(x: Array) -> Array:
-        """(samples, columns) to (blocks, columns, size), zeros behind the end."""
-        x = jnp.pad(x, ((0, padding), (0, 0)))
-        return jnp.swapaxes(x.reshape(blocks, size, x.shape[1]), 1, 2)
-
-    def step(
-        triangles: tuple[Array, ...], block: tuple[Array, ...]
-    ) -> tuple[tuple[Array, ...], None]:
-        joined = tuple(
-            join_rows(triangle, rows)
-            for triangle, rows in zip(triangles, weighted_rows(network, *block), strict=True)
-        )
-        return joined, None
-
-    start = JointFactors.empty(network) if factors is None else factors
-    triangles, _ = jax.lax.scan(
-        step,
-        tuple(map(jnp.asarray, start.triangles)),
-        tuple(blocked(x) for x in (q, qd, qdd, torque, weight)),
-    )
-    return JointFactors(triangles, start.counts + jnp.sum(weight != 0, axis=0))
-
-
-def weighted_rows(
-    network: AbstractLinearNetwork,
-    q: Float[Array, "motion samples"],
-    qd: Float[Array, "motion samples"],
-    qdd: Float[Array, "motion samples"],
-    torque: Float[Array, "joints samples"],
-    weight: Float[Array, "joints samples"],
-) -> tuple[Float[Array, "_ samples"], ...]:
-    """Return each joint's regressor columns and torque, (s + 1, samples), weighted."""
-    return tuple(
-        jnp.concatenate([rows, torque[j][None]]) * weight[j][None]
-        for j, rows in enumerate(network.columns(q, qd, qdd))
-    )
-
-
 def joined_factors(parts: Sequence[JointFactors]) -> JointFactors:
-    """The factors of several sets of patterns together; on the host, in a tree of joins.
+    """Return the factors of several sets of patterns together; on the host, in a tree of joins.
 
     **Raises** `ValueError` if there are none.
     """
@@ -236,21 +159,10 @@ def joined_factors(parts: Sequence[JointFactors]) -> JointFactors:
     return parts[0]
 
 
-def join_rows(triangle: Float[Array, "s s"], rows: Float[Array, "s samples"]) -> Array:
-    """The triangle of a triangle above further rows, given as columns, some at a time."""
-    columns, at_once = rows.shape[0], _ROWS
-    while at_once > 32 and (at_once + columns) * columns > _CELLS:
-        at_once //= 2
-    pieces = jnp.swapaxes(rows.reshape(columns, -1, at_once), 0, 1)
-
-    def step(triangle: Array, piece: Array) -> tuple[Array, None]:
-        return jnp.linalg.qr(jnp.concatenate([triangle, piece.T]), mode="r"), None
-
-    return jax.lax.scan(step, triangle, pieces)[0]
-
-
-def triangle_of(rows: Float[np.ndarray, "*batch rows columns"]) -> Float[np.ndarray, "..."]:
-    """The triangle R of an orthogonal factorisation, (..., columns, columns), signs arbitrary.
+def triangle_of(
+    rows: Float[Array | np.ndarray, "*batch rows columns"],
+) -> Any:
+    """Return the triangle R of a QR factorisation, (..., columns, columns), signs arbitrary.
 
     Rows are taken as many at a time as a core can factorise alone, and their triangles stacked
     and factorised in turn. Fewer rows than columns are filled up with zeros.
@@ -272,14 +184,13 @@ def triangle_of(rows: Float[np.ndarray, "*batch rows columns"]) -> Float[np.ndar
     return _upper(_filled(rows, max(rows.shape[-2], columns)))
 
 
-def _upper(rows: np.ndarray) -> np.ndarray:
-    triangle: Any = np.linalg.qr(rows, mode="r")  # the stub promises Q as well
-    return triangle
+def _upper(rows: Any) -> Any:
+    return array_namespace(rows).linalg.qr(rows, mode="r")
 
 
-def _filled(rows: np.ndarray, count: int) -> np.ndarray:
+def _filled(rows: Any, count: int) -> Any:
     """Zero rows behind the end."""
     if rows.shape[-2] == count:
         return rows
     widths = [(0, 0)] * (rows.ndim - 2) + [(0, count - rows.shape[-2]), (0, 0)]
-    return np.pad(rows, widths)
+    return array_namespace(rows).pad(rows, widths)

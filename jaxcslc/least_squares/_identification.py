@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._environment import array_namespace, as_jax, require
 from .._scratch import unfinished
-from ._compiled import untraced
+from ._columns import untraced
 
 
 # Entries of the echelon form below this part of a row's largest are rounding.

@@ -1,32 +1,51 @@
 """`LeastSquares`: the estimator, with all its options (thesis 8.2.3).
 
 Its methods fit patterns, streams, factors and folds with the other modules of this package.
+`WeightedEquations` are those that a fit ends with, and `gauss_newton` fits equations that are
+linear about the last coefficients.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import pairwise
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from .._environment import require_float64
+from .._rank import pseudo_inverse
 from ..network import AbstractLinearNetwork
 from ..recordings import Patterns
-from ._compiled import HostColumns, columns_of, computed_on_host, filled_up, torque_by, traced
-from ._equations import Equations, equations_of, pattern_factors, samples_of
+from ._blocks import (
+    are_many,
+    blocks_of_chunks,
+    blocks_of_patterns,
+    factors_of_blocks,
+    residual_sums_of_blocks,
+)
+from ._columns import HostColumns, columns_of, torque_by, traced, untraced
+from ._equations import Equations, equations_of, samples_of
+from ._errors import ERRORS, Errors, Rows, correlated_errors, independent_errors
 from ._factors import JointFactors, Unknowns
-from ._factors_fit import fit_of_factors, ordinary_minimum
-from ._fixed import Fixed, check_nothing_known
-from ._folds import FoldProducts
 from ._identification import RESULTS, Identification, result_of
-from ._losses import LOSSES, Loss
-from ._minimum import FoldFit, JointWeights, fold_coefficients, fold_fits
-from ._rows import AbstractRows, KeptRows, PatternRows
-from ._standard_errors import ERRORS, Errors
-from ._streaming import are_many, factors_of_patterns, factors_of_stream, residual_sums_of
+from ._losses import LOSSES, Loss, robust_fit, robust_scale, weight
+from ._minimum import (
+    Fixed,
+    FoldFit,
+    JointWeights,
+    Solution,
+    check_nothing_known,
+    fold_coefficients,
+    fold_fits,
+    joint_weights_of,
+    minimum,
+    minimum_coefficients,
+    residual_weights,
+)
+from ._products import corrected, needs_correction
 
 
 def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
@@ -58,10 +77,6 @@ def checked(fit: Identification, throw: bool) -> Identification:
         return fit
     failed = (fit.result == RESULTS.nonfinite) | (fit.result == RESULTS.no_equations)
     return fit.result.error_if(fit, failed)
-
-
-# A regressor of no more entries is kept for the second pass, half a gigabyte of them.
-_KEPT = 1 << 26
 
 
 @dataclasses.dataclass(frozen=True)
@@ -205,7 +220,8 @@ class LeastSquares:
                 "a stream passes once: expected loss 'squared', errors 'independent' and no"
                 f" cutoff, got {self}"
             )
-        return self.fit_factors(network, factors_of_stream(network, chunks, workers), fixed, throw)
+        factors = factors_of_blocks(network, blocks_of_chunks(network, chunks, workers))
+        return self.fit_factors(network, factors, fixed, throw)
 
     def fit_factors(
         self,
@@ -222,19 +238,18 @@ class LeastSquares:
         self, equations: Equations, samples: int, fixed: Fixed | None = None, throw: bool = True
     ) -> Identification:
         """The fit of equations of recordings of so many samples, as `fit`; on the host."""
-        rows = KeptRows.from_equations(equations, samples) if self._passes_twice else None
+        rows = Rows.from_equations(equations, samples) if self._passes_twice else None
         return checked(self._fit_rows(equations.unknowns, equations.factors(), rows, fixed), throw)
 
     def coefficients(self, equations: Equations) -> Float[np.ndarray, " coefficients"]:
-        """The coefficients of `fit_equations` alone, for the squared loss: nothing is compiled.
+        """Return the coefficients of `fit_equations` alone, for the squared loss.
 
         NaN where equations are not finite.
         """
-        factors = equations.factors()
-        solution, _ = ordinary_minimum(
-            equations.unknowns, factors, None, self.joint_weights, self.rcond
-        )
-        return solution.k
+        unknowns, factors = equations.unknowns, equations.factors()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            weights = joint_weights_of(unknowns, factors, self.joint_weights, self.rcond)
+            return minimum_coefficients(unknowns, factors, weights, self.rcond)
 
     def equations(self, network: AbstractLinearNetwork, patterns: Patterns) -> Equations:
         """The equations that `fit` solves, one for each pair of the mask, or those that the
@@ -255,23 +270,10 @@ class LeastSquares:
         - `fold`, `columns`: as of `held_out_errors`.
         """
         check_nothing_known(network, "folds")
-        if columns is None:
-            check_patterns(network, patterns)
-            columns = columns_of(network, patterns)
-        unknowns, cutoff = Unknowns.of(network), self.cutoff
-        equations = None if cutoff is None else equations_of(network, patterns, cutoff, columns)
-        if self.loss == "squared" and self.rcond is None:
-            if equations is None:
-                products = FoldProducts.of_columns(unknowns, columns, patterns, fold)
-            else:
-                products = FoldProducts.of_equations(equations, fold)
-            if (k := products.coefficients(self.joint_weights)) is not None:
-                return k
-        if equations is None:
-            equations = equations_of(network, patterns, None, columns)
+        equations = equations_of(network, patterns, self.cutoff, columns)
         if self.loss == "squared":
             factors = equations.factors_of_folds(fold, int(np.max(fold)) + 1)
-            return fold_coefficients(unknowns, factors, self.joint_weights, self.rcond)
+            return fold_coefficients(equations.unknowns, factors, self.joint_weights, self.rcond)
         return np.stack([np.asarray(fit.k) for fit in self._iterated_folds(equations, fold)])
 
     def fits_without_folds(
@@ -350,46 +352,194 @@ class LeastSquares:
         self, network: AbstractLinearNetwork, patterns: Patterns, fixed: Fixed | None
     ) -> Identification:
         check_patterns(network, patterns)
-        rows: AbstractRows | None = None
-        samples = len(patterns.q)
-        motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, patterns.mask)
-        if self.cutoff is not None or computed_on_host(network, *motion):
-            equations = equations_of(network, patterns, self.cutoff)
-            return self.fit_equations(equations, samples, fixed, throw=False)
-        many = not traced(motion) and are_many(patterns)
-        if not self._passes_twice and many:
-            factors = factors_of_patterns(network, patterns)
-            sums = partial(residual_sums_of, network, patterns)
-            return self._fit_rows(Unknowns.of(network), factors, None, fixed, sums)
-        q, qd, qdd, torque = (filled_up(x) for x in motion[:-1])
-        weight = filled_up(patterns.mask.astype(float))
-        factors = pattern_factors(network, patterns)
-        if self._passes_twice and (traced(motion) or patterns.q.size * network.size > _KEPT):
-            phase = (jnp.arange(len(q)) + 0.5) / samples
-            rows = PatternRows(
-                network=network, q=q, qd=qd, qdd=qdd, torque=torque, counts=weight, phase=phase
+        unknowns = Unknowns.of(network)
+        if self.cutoff is None and traced((network, patterns, fixed)):
+            rows = Rows.from_patterns(network, jax.tree.map(jnp.asarray, patterns))
+            factors = rows.factors(jnp.ones(rows.counts.shape))
+            return self._fit_rows(unknowns, factors, rows if self._passes_twice else None, fixed)
+        if self.cutoff is None and are_many(patterns):
+            factors = factors_of_blocks(network, blocks_of_patterns(network, patterns))
+            rows = Rows.from_patterns(network, patterns) if self._passes_twice else None
+            sums = lambda k: residual_sums_of_blocks(
+                network, blocks_of_patterns(network, patterns), k
             )
-        elif self._passes_twice:
-            rows = KeptRows.from_equations(equations_of(network, patterns, None), samples)
-        sums = partial(residual_sums_of, network, patterns) if many else None
-        return self._fit_rows(Unknowns.of(network), factors, rows, fixed, sums)
+            return self._fit_rows(unknowns, factors, rows, fixed, sums)
+        equations = equations_of(network, patterns, self.cutoff)
+        return self.fit_equations(equations, len(patterns.q), fixed, throw=False)
 
     def _fit_rows(
         self,
         unknowns: Unknowns,
         factors: JointFactors,
-        rows: AbstractRows | None,
+        rows: Rows | None,
         fixed: Fixed | None,
         sums: Callable[[Any], Any] | None = None,
     ) -> Identification:
-        return fit_of_factors(
-            unknowns,
-            factors,
-            rows,
-            fixed,
-            sums,
-            joint_weights=self.joint_weights,
-            loss=self.loss,
-            errors=self.errors,
-            rcond=self.rcond,
-        )
+        """Fit factorised equations.
+
+        - `rows`: the equations themselves, for a second pass; None for ordinary least squares with
+          errors for independent noise.
+        - `sums`: `residual_sums` as a function of coefficients, of patterns that can be read again.
+        """
+        factors, fixed = untraced((factors, fixed))
+        if traced((factors, fixed)):
+            factors = jax.tree.map(jnp.asarray, factors)
+        # NaN is the answer where there is none, as JAX has it.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            weights = joint_weights_of(unknowns, factors, self.joint_weights, self.rcond, fixed)
+            solution = minimum(unknowns, factors, weights, self.rcond, fixed)
+            if sums is not None and needs_correction(unknowns, factors, solution, weights):
+                solution = corrected(unknowns, solution, weights, sums(solution.k))
+            if rows is None:
+                return independent_errors(unknowns, factors, solution, fixed)
+            if self.loss == "squared":
+                residual = rows.residuals(solution.k)
+            else:
+                by_residual = isinstance(self.joint_weights, str)
+                solution, weights, residual = robust_fit(
+                    rows,
+                    factors,
+                    solution,
+                    weights,
+                    by_residual=by_residual and self.joint_weights == "residual",
+                    loss=self.loss,
+                    rcond=self.rcond,
+                    fixed=fixed,
+                )
+            if self.errors == "independent":
+                return independent_errors(unknowns, factors, solution, fixed)
+            return correlated_errors(rows, factors, solution, weights, residual, fixed)
+
+
+@dataclasses.dataclass(frozen=True)
+class WeightedEquations:
+    """The equations of a fit with the weights that it ended with: what errors of it are linear in.
+
+    **Attributes**
+
+    - `equations`: as of `LeastSquares.equations`.
+    - `weights`: of joints, (n,).
+    - `roots`: for each joint, the roots of its equations' weights under a robust loss.
+    - `rcond`: of `LeastSquares`.
+    """
+
+    equations: Equations
+    weights: Float[np.ndarray, " joints"]
+    roots: tuple[Float[np.ndarray, " _"], ...]
+    rcond: float | None
+
+    @classmethod
+    def of(
+        cls, equations: Equations, k: Float[np.ndarray, " unknowns"], solver: LeastSquares
+    ) -> "WeightedEquations":
+        """Weight equations as in their fit, which ended with `k`."""
+        errors = equations.errors(k)
+        roots = tuple(_robust_roots(error, solver.loss) for error in errors)
+        counts = np.array([float(len(error)) for error in errors])
+        if solver.joint_weights == "residual":
+            squares = [np.sum((r * e) ** 2) for r, e in zip(roots, errors, strict=True)]
+            weights = residual_weights(np.sqrt(squares / np.maximum(counts, 1.0)), counts)
+        elif isinstance(solver.joint_weights, str):
+            weights = np.ones(len(errors))
+        else:
+            weights = np.asarray(solver.joint_weights, float)
+        return cls(equations, np.asarray(weights), roots, solver.rcond)
+
+    def solution(self, equations: Equations) -> Solution:
+        """The minimum of other equations of the same pairs, with the same weights."""
+        return self.minimum(equations.unknowns, equations.times(self.roots).factors())
+
+    def factors_of_folds(
+        self, equations: Equations, fold: Int[np.ndarray, " samples"]
+    ) -> JointFactors:
+        """Return the factors of other equations of the same pairs, each fold by itself.
+
+        - `fold`: the fold of each sample, from 0.
+        """
+        return equations.times(self.roots).factors_of_folds(fold, int(fold[-1]) + 1)
+
+    def minimum(self, unknowns: Unknowns, factors: JointFactors) -> Solution:
+        """The minimum of factorised equations, joints weighted as here."""
+        return minimum(unknowns, factors, self.weights, self.rcond)
+
+    def shifts(
+        self, torques: Sequence[Float[np.ndarray, "_ changes"]]
+    ) -> Float[np.ndarray, "unknowns changes"]:
+        """Return the changes of the unknowns when changes are added to the torques.
+
+        - `torques`: for each joint (equations, changes).
+        """
+        last = max((int(sample[-1]) for sample in self.equations.sample if sample.size), default=0)
+        return self.shifts_of_stretches(torques, np.array([0, last + 1]))[0]
+
+    def shifts_of_stretches(
+        self, torques: Sequence[Float[np.ndarray, "_ changes"]], edges: Int[np.ndarray, " edges"]
+    ) -> Float[np.ndarray, "stretches unknowns changes"]:
+        """Return the part of `shifts` due to the equations in each stretch of the recording.
+
+        - `edges`: samples that stretches begin with, and the one after the last.
+        """
+        unknowns = self.equations.unknowns
+        scores = np.zeros((len(edges) - 1, unknowns.size, torques[0].shape[1]))
+        for support, rows, sample, size, root, columns in zip(
+            unknowns.support,
+            self.equations.rows,
+            self.equations.sample,
+            self.weights,
+            self.roots,
+            torques,
+            strict=True,
+        ):
+            weighted = ((size * root) ** 2)[:, None] * rows[:, :-1]
+            bounds = pairwise(np.searchsorted(sample, edges))
+            for score, (start, stop) in zip(scores, bounds, strict=True):
+                score[list(support)] += weighted[start:stop].T @ columns[start:stop]
+        return np.asarray(self.solution(self.equations).inverse_gram) @ scores
+
+
+def changes_of(
+    stacked: Float[np.ndarray, "rows columns"], size: int
+) -> Float[np.ndarray, "unknowns further"]:
+    """Return the changes of the first unknowns per unit of each further unknown that is left out.
+
+    - `stacked`: the columns of the unknowns, of the further ones, and the torque.
+    """
+    return pseudo_inverse(stacked[:, :size]) @ stacked[:, size:-1]
+
+
+def _robust_roots(error: Float[np.ndarray, " equations"], loss: Loss) -> Float[np.ndarray, " _"]:
+    """The roots of the weights that a joint's equations have in a fit that leaves these errors."""
+    if loss == "squared" or not error.size:
+        return np.ones(len(error))
+    scale = float(robust_scale(error[:, None], np.ones((len(error), 1)))[0])
+    return np.sqrt(weight(loss, error / (scale or 1.0)))
+
+
+_PART = 1e-3  # of a standard error: a step that moves no coefficient further is the last
+_ROUNDING = 1e-10  # of the largest coefficient: the same, of a fit without noise
+
+
+def gauss_newton(
+    fitted: Callable[[Float[np.ndarray, " coefficients"]], Identification],
+    start: Float[np.ndarray, " coefficients"],
+    steps: int = 30,
+) -> Identification:
+    """Return the last of the fits that start from each other's coefficients.
+
+    - `fitted`: the fit of the equations that are linear about some coefficients.
+    - `steps`: at most.
+    """
+    fit = fitted(start)
+    for _ in range(steps - 1):
+        if settled(fit, start, _PART):
+            break
+        start = np.asarray(fit.k)
+        fit = fitted(start)
+    return fit
+
+
+def settled(fit: Identification, before: Float[np.ndarray, " coefficients"], part: float) -> bool:
+    """Return whether no coefficient has moved by this part of its standard error."""
+    k = np.asarray(fit.k)
+    error = np.where(np.asarray(fit.determined), np.asarray(fit.standard_error), np.inf)
+    return bool(np.all(np.abs(k - before) <= part * error + _ROUNDING * np.max(np.abs(k))))

@@ -1,25 +1,122 @@
-"""Least-squares solution of factorised equations, joints weighted, and solutions by fold."""
+"""Least-squares solution of factorised equations, joints weighted, and solutions by fold.
 
-from collections.abc import Callable
+`Fixed` coefficients keep known values, with their uncertainty.
+"""
+
+from collections.abc import Sequence
 from types import ModuleType
-from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .._environment import array_namespace
 from .._rank import rank_tolerance
+from ..network import AbstractLinearNetwork
+from ._columns import traced
 from ._factors import JointFactors, Unknowns, triangle_of
-from ._fixed import Fixed
+from ._identification import Identification
 
 
 # Weights settle to a percent in two rounds: residuals hardly depend on them.
 _ROUNDS = 3
-# A coefficient that shares this part of a unit null vector is not determined by itself.
+# A coefficient that shares this part of a unit null vector is not determined by itself: rounding of
+# null vectors, whose singular values are at least 10^-14 of the largest, is below it.
 _SHARE = 1e-6
 
 # NumPy's arrays or JAX's.
 Numbers = Any
+
+Previous = Identification | Float[Array | np.ndarray, " coefficients"]
+
+
+class Fixed(eqx.Module):
+    """Coefficients that keep their values in a fit, and how well these are known.
+
+    **Attributes**
+
+    - `free`: indices of those that are fitted.
+    - `k`: (p,) what the others are fixed at, and what the fitted ones are near where a fit has a
+      choice.
+    - `covariance`, `independent_covariance`: (p, p), `determined`: (p,), as in `Identification`;
+      what they say of fitted coefficients is not used.
+    - `degrees_of_freedom`: that belongs to the covariance.
+    """
+
+    free: tuple[int, ...] = eqx.field(static=True)
+    k: Float[Array, " coefficients"]
+    covariance: Float[Array, "coefficients coefficients"]
+    independent_covariance: Float[Array, "coefficients coefficients"]
+    determined: Bool[Array, " coefficients"]
+    degrees_of_freedom: Float[Array, ""]
+
+    @classmethod
+    def except_for(
+        cls, network: AbstractLinearNetwork, previous: Previous, groups: Sequence[str]
+    ) -> "Fixed":
+        """All but `groups` keep their values of `previous`, which may end before the last ones if
+        those are all fitted.
+
+        **Raises** `ValueError` for names that are none, and for another network's `previous`.
+        """
+        free = tuple(
+            i for i in _indices(network, groups) if network.names[i] not in network.known_values
+        )
+        # Sizes are the robot's: padded by JAX, each would be compiled.
+        xp: Any = jnp if traced(previous) else np
+        values = xp.asarray(previous.k if isinstance(previous, Identification) else previous)
+        size, missing = len(values), network.size - len(values)
+        if missing < 0 or not {*range(size, network.size)} <= set(free):
+            raise ValueError(f"previous: expected {network.size} coefficients, got {size}")
+        if isinstance(previous, Identification):
+            if previous.names != network.names[:size]:
+                raise ValueError(
+                    f"previous: its coefficients are {previous.names[0]} to {previous.names[-1]}"
+                    f" ({size});"
+                    f" {network.name!r} has {network.names[0]} to {network.names[-1]}"
+                    f" ({network.size})"
+                )
+            covariances = previous.covariance, previous.independent_covariance
+            determined, degrees_of_freedom = previous.determined, previous.degrees_of_freedom
+        else:
+            covariances = (np.zeros((size, size)),) * 2
+            determined, degrees_of_freedom = np.ones(size, bool), np.array(np.inf)
+        padded = [xp.pad(xp.asarray(x), (0, missing)) for x in (values, *covariances)]
+        known = xp.pad(xp.asarray(determined), (0, missing), constant_values=True)
+        return cls(
+            free,
+            *(jnp.asarray(x, float) for x in padded),
+            determined=jnp.asarray(known, bool),
+            degrees_of_freedom=jnp.asarray(degrees_of_freedom, float),
+        )
+
+    @classmethod
+    def of_known(cls, network: AbstractLinearNetwork) -> "Fixed | None":
+        """The coefficients that are numbers (`network.known_values`), without errors; None if
+        none is."""
+        if not (known := network.known_values):
+            return None
+        free = tuple(i for i, name in enumerate(network.names) if name not in known)
+        k = np.array([known.get(name, 0.0) for name in network.names])
+        none = jnp.zeros((len(k), len(k)))
+        return cls(free, jnp.asarray(k), none, none, jnp.ones(len(k), bool), jnp.asarray(jnp.inf))
+
+    @property
+    def remaining(self) -> Int[np.ndarray, " fixed"]:
+        """Indices of those that are not fitted."""
+        return np.setdiff1d(np.arange(len(self.k)), self.free)
+
+
+def check_nothing_known(network: AbstractLinearNetwork, what: str) -> None:
+    """**Raises** `ValueError` if coefficients are numbers, which `what` would fit."""
+    if known := network.known_values:
+        raise ValueError(
+            f"{what}: {', '.join(known)} of {network.name!r} are numbers, by known masses, which"
+            " LeastSquares.fit keeps; elsewhere say them as a prior"
+        )
+
 
 JointWeights = (
     Literal["equal", "residual"] | tuple[float, ...] | Float[Array | np.ndarray, " joints"]
@@ -100,36 +197,16 @@ def minimum(
     return _among(xp, solution, fixed, -half @ xp.swapaxes(left, -1, -2) @ reduced.others)
 
 
-@runtime_checkable
-class Reduced(Protocol):
-    """Interface of factors or products that weighting joints by residual needs."""
-
-    @property
-    def counts(self) -> Float[Numbers, "*batch joints"]:
-        """Equations of each joint."""
-        ...
-
-    def root_mean_squares(
-        self, unknowns: Unknowns, k: Float[Numbers, "*batch coefficients"]
-    ) -> Float[Numbers, "*batch joints"]:
-        """Torque error of each joint."""
-        ...
-
-
-def weighted_minimum(
+def joint_weights_of(
     unknowns: Unknowns,
-    factors: Reduced,
+    factors: JointFactors,
     joint_weights: JointWeights,
-    solve: Callable[[Any], Any],
-    *,
-    before: Callable[[Any], Any] | None = None,
-) -> tuple[Any, Any]:
-    """Return the result of `solve` for the weights of joints, and these weights.
+    rcond: float | None,
+    fixed: Fixed | None = None,
+) -> Float[Numbers, "*batch joints"]:
+    """Return the weights of joints that a fit ends with.
 
-    - `joint_weights`: those of `LeastSquares`.
-    - `solve`: a function of the weights (..., n) that returns what has coefficients `k`.
-    - `before`: used in its place before the last of the rounds that weight joints by residual,
-      where coefficients alone are needed.
+    - `joint_weights`, `rcond`: of `LeastSquares`.
     """
     xp = array_namespace(factors.counts)
     weights = xp.ones(factors.counts.shape)
@@ -140,9 +217,9 @@ def weighted_minimum(
         weights = weights * xp.asarray(joint_weights, float)
     by_residual = isinstance(joint_weights, str) and joint_weights == "residual"
     for _ in range(_ROUNDS if by_residual else 0):
-        k = (before or solve)(weights).k
+        k = minimum_coefficients(unknowns, factors, weights, rcond, fixed)
         weights = residual_weights(factors.root_mean_squares(unknowns, k), factors.counts)
-    return solve(weights), weights
+    return weights
 
 
 def residual_weights(
@@ -158,10 +235,28 @@ def residual_weights(
     return xp.where(counts > 0, 1.0 / xp.maximum(error, floor), 1.0)
 
 
-class Coefficients(NamedTuple):
-    """The coefficients of a minimum alone."""
-
-    k: Float[Numbers, "*batch coefficients"]
+def minimum_coefficients(
+    unknowns: Unknowns,
+    factors: JointFactors,
+    weights: Float[Numbers, "*batch joints"],
+    rcond: float | None,
+    fixed: Fixed | None = None,
+) -> Float[Numbers, "*batch coefficients"]:
+    """Return the coefficients of `minimum` alone, in a third of its time where rank is full."""
+    xp = array_namespace(factors.counts)
+    if xp is np and fixed is None:
+        reduced = _reduced(np, unknowns, factors, weights, None)
+        tolerance = rank_tolerance(unknowns.size, np.sum(factors.counts, axis=-1), rcond)
+        try:
+            inverse = np.linalg.inv(reduced.matrix)
+        except np.linalg.LinAlgError:
+            return minimum(unknowns, factors, weights, rcond).k
+        # Frobenius norms bound the singular values: where even the bounds are far enough apart,
+        # the rank is full, and the triangle gives what its decomposition would.
+        norms = (np.linalg.norm(x, axis=(-2, -1)) for x in (reduced.matrix, inverse))
+        if np.all(np.prod([*norms], axis=0) * tolerance < 1.0):
+            return _times(inverse, reduced.target) / reduced.scale
+    return minimum(unknowns, factors, weights, rcond, fixed).k
 
 
 def fold_coefficients(
@@ -170,42 +265,15 @@ def fold_coefficients(
     joint_weights: JointWeights,
     rcond: float | None,
 ) -> Float[np.ndarray, "folds coefficients"]:
-    """The coefficients fitted to all folds but one, for each one left out.
+    """Return the coefficients fitted to all folds but one, for each one left out.
 
     Triangles of folds stack like the patterns that they stand for, so no pattern is seen again.
-    The minimum of `minimum`, in NumPy and without what only a final fit needs (rank, standard
-    errors): a search for settings calls this some hundred times on a few hundred rows.
 
     - `factors`: of the folds, NumPy's arrays with a leading axis of folds.
     """
     others = _without_each_fold(factors)
-    return weighted_minimum(
-        unknowns,
-        others,
-        joint_weights,
-        lambda weights: minimum_coefficients(unknowns, others, weights, rcond),
-    )[0].k
-
-
-def minimum_coefficients(
-    unknowns: Unknowns,
-    factors: JointFactors,
-    weights: Float[np.ndarray, "*batch joints"],
-    rcond: float | None,
-) -> Coefficients:
-    """The coefficients of `minimum` alone, in NumPy, in a third of its time where rank is full."""
-    reduced = _reduced(np, unknowns, factors, weights, None)
-    tolerance = rank_tolerance(unknowns.size, np.sum(factors.counts, axis=-1), rcond)
-    try:
-        inverse = np.linalg.inv(reduced.matrix)
-    except np.linalg.LinAlgError:
-        return Coefficients(minimum(unknowns, factors, weights, rcond).k)
-    # Frobenius norms bound the singular values: where even the bounds are far enough apart,
-    # the rank is full, and the triangle gives what its decomposition would.
-    spread = np.linalg.norm(reduced.matrix, axis=(-2, -1)) * np.linalg.norm(inverse, axis=(-2, -1))
-    if not np.all(spread * tolerance < 1.0):
-        return Coefficients(minimum(unknowns, factors, weights, rcond).k)
-    return Coefficients(_times(inverse, reduced.target) / reduced.scale)
+    weights = joint_weights_of(unknowns, others, joint_weights, rcond)
+    return minimum_coefficients(unknowns, others, weights, rcond)
 
 
 class FoldFit(NamedTuple):
@@ -224,37 +292,22 @@ class FoldFit(NamedTuple):
 def fold_fits(
     unknowns: Unknowns, factors: JointFactors, joint_weights: JointWeights, rcond: float | None
 ) -> tuple[FoldFit, ...]:
-    """The fits to all folds but one, for each one left out: `fold_coefficients` with covariances.
-
-    - `factors`: of the folds, NumPy's arrays with a leading axis of folds.
-    """
+    """Return the fits of `fold_coefficients` with covariances; arguments are the same."""
     others = _without_each_fold(factors)
-    solution, _ = weighted_minimum(
-        unknowns,
-        others,
-        joint_weights,
-        lambda weights: minimum(unknowns, others, weights, rcond),
-        before=lambda weights: minimum_coefficients(unknowns, others, weights, rcond),
-    )
+    weights = joint_weights_of(unknowns, others, joint_weights, rcond)
+    solution = minimum(unknowns, others, weights, rcond)
     covariance = solution.variance[:, None, None] * solution.inverse_gram
     return tuple(map(FoldFit, solution.k, covariance, solution.undetermined))
 
 
 def _without_each_fold(factors: JointFactors) -> JointFactors:
     """Return, for each fold, the factors of all other folds."""
-    folds = factors.counts.shape[0]
-    kept = ~np.eye(folds, dtype=bool)
-    triangles = tuple(
-        triangle.reshape(-1, *triangle.shape[-1:])[_rows_of(kept, triangle.shape[-2])]
-        for triangle in map(np.asarray, factors.triangles)
+    kept = ~np.eye(len(factors.counts), dtype=bool)
+    triangles = (
+        np.stack([np.concatenate(of_joint[others]) for others in kept])
+        for of_joint in map(np.asarray, factors.triangles)
     )
-    return JointFactors.of_rows(triangles, kept @ np.asarray(factors.counts))
-
-
-def _rows_of(kept: Bool[np.ndarray, "folds others"], size: int) -> Int[np.ndarray, "folds rows"]:
-    """Return, for each fold, the row indices of all other folds' triangles of a size."""
-    others = [np.flatnonzero(row) for row in kept]
-    return np.stack([(fold[:, None] * size + np.arange(size)).ravel() for fold in others])
+    return JointFactors.of_rows(tuple(triangles), kept @ np.asarray(factors.counts))
 
 
 class _Reduced(NamedTuple):
@@ -285,7 +338,7 @@ def _reduced(
         # Fitted ones too: what they change by is then looked for, and nothing where they are free.
         target = target - _times(coefficients, fixed.k)[..., None]
         columns = xp.concatenate([coefficients[..., order], target], axis=-1)
-    triangle = triangle_of(np.asarray(columns)) if xp is np else xp.linalg.qr(columns, mode="r")
+    triangle = triangle_of(columns)
     matrix = triangle[..., :p, :p]
     scale = xp.linalg.norm(matrix, axis=-2)
     scale = xp.where(scale > 0, scale, 1.0)
@@ -322,3 +375,20 @@ def _among(xp: ModuleType, part: Solution, fixed: Fixed, follow: Any) -> Solutio
 
 def _times(matrix: Any, vector: Any) -> Any:
     return (matrix @ vector[..., None])[..., 0]
+
+
+def _indices(network: AbstractLinearNetwork, groups: Sequence[str]) -> tuple[int, ...]:
+    """Indices of the coefficients of groups or of names, ascending."""
+    names = (groups,) if isinstance(groups, str) else tuple(groups)
+    there = dict.fromkeys(coefficient.group for coefficient in network.coefficients)
+    listed = f"{', '.join(there)}, and names, {network.names[0]} to {network.names[-1]}"
+    if not names:
+        raise ValueError(f"groups: none is given; expected some of {listed}")
+    for name in names:
+        if name not in there and name not in network.names:
+            raise ValueError(f"groups: {name!r} is none; expected some of {listed}")
+    return tuple(
+        index
+        for index, coefficient in enumerate(network.coefficients)
+        if coefficient.group in names or coefficient.name in names
+    )

@@ -18,9 +18,9 @@ from ..recordings import (
     smoothing_from,
     uniform_interval,
 )
-from ._fixed import Fixed, Previous
 from ._identification import Identification
 from ._least_squares import LeastSquares
+from ._minimum import Fixed, Previous
 
 
 def reidentify(

@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,7 +24,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 import jaxcslc as jc
 from jaxcslc._environment import core_count
-from jaxcslc.least_squares import Unknowns, factorise, factors_of, minimum
+from jaxcslc.least_squares import Unknowns, dense_factors, factors_of, kernel_of, minimum
 from scripts.benchmarks.exact_solution import exact_coefficients
 from scripts.benchmarks.metrics import Metric, best_of
 
@@ -138,7 +137,7 @@ def accuracy(name: str) -> Iterator[Row]:
     network = network_named(name)
     n, cpu = network.joint_count, jax.devices("cpu")[0]
     unknowns, weights = Unknowns.of(network), np.ones(n)
-    reflect = eqx.filter_jit(factorise)
+    kernel = kernel_of(network, jax.default_backend())
     motions = {"all": np.ones(n), "1e-2": np.full(n, 1e-2), "1e-3": np.full(n, 1e-3)}
     motions["third joint still"] = np.where(np.arange(n) == 2, 0.0, 1.0)
     for motion_name, scale in motions.items():
@@ -149,9 +148,10 @@ def accuracy(name: str) -> Iterator[Row]:
             torque = np.asarray(jax.jit(network.torque)(*(jnp.asarray(x) for x in (k, q, qd, qdd))))
             noisy = torque + 1e-3 * torque.std() * rng.normal(size=torque.shape)
             motion = q, qd, qdd, noisy, np.ones(q.shape)
-            factors = jax.tree.map(np.asarray, reflect(network, *map(jnp.asarray, motion)))
-        reflected = minimum(unknowns, factors, weights, None)
-        products = minimum(unknowns, factors_of(network, motion)[0], weights, None)
+        instants, mask = np.arange(float(len(q))), np.ones(q.shape, bool)
+        on_host = jc.Patterns(instants, q, qd, qdd, noisy, mask, mask)
+        reflected = minimum(unknowns, dense_factors(network, on_host), weights, None)
+        products = minimum(unknowns, factors_of(network, motion, kernel)[0], weights, None)
         row: Row = {
             "row": f"{name}, motion {motion_name}",
             "condition": float(reflected.condition),
@@ -159,8 +159,6 @@ def accuracy(name: str) -> Iterator[Row]:
             "rank by reflections": int(reflected.rank),
         }
         if reflected.rank == network.size:
-            instants, mask = np.arange(float(len(q))), np.ones(q.shape, bool)
-            on_host = jc.Patterns(instants, q, qd, qdd, noisy, mask, mask)
             patterns = jax.tree.map(jnp.asarray, on_host)
             exact = exact_coefficients(network, motion)
             deviation = np.sqrt(reflected.variance * np.diag(reflected.inverse_gram))

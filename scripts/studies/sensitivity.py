@@ -1,15 +1,13 @@
 """Output sensitivity: the mean torque that a unit of each coefficient causes (Section 7.6)."""
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from jaxcslc import CSLC, Patterns
-from jaxcslc.least_squares import filled_up
+from jaxcslc.least_squares import columns_of
 
 
-def output_sensitivity(network: CSLC, patterns: Patterns) -> Float[Array, " coefficients"]:
+def output_sensitivity(network: CSLC, patterns: Patterns) -> Float[np.ndarray, " coefficients"]:
     """Return the mean torque that a unit of each coefficient causes over a recording (Section 7.6).
 
     The mean modulus, over all joints and all patterns, of the network's torque when one
@@ -27,15 +25,7 @@ def output_sensitivity(network: CSLC, patterns: Patterns) -> Float[Array, " coef
 
     **Returns** (p,) [N m, or N, per unit of the coefficient].
     """
-    q, qd, qdd = (filled_up(x).T for x in (patterns.q, patterns.qd, patterns.qdd))
-    # Padding rows are at rest, where gravity acts too: their weight is zero.
-    weight = filled_up(np.ones((patterns.samples, 1)))[:, 0]
-    return _mean_modulus(network, q, qd, qdd, weight)
-
-
-@eqx.filter_jit
-def _mean_modulus(network: CSLC, q: Array, qd: Array, qdd: Array, weight: Array) -> Array:
-    total = jnp.zeros(network.size, q.dtype)
-    for support, rows in zip(network.support, network.columns(q, qd, qdd), strict=True):
-        total = total.at[np.array(support, dtype=int)].add(jnp.abs(rows) @ weight)
-    return total / (network.joint_count * jnp.sum(weight))
+    mean = np.zeros(network.size)
+    for support, columns in zip(network.support, columns_of(network, patterns), strict=True):
+        mean[list(support)] += np.mean(np.abs(columns), axis=1)
+    return mean / network.joint_count

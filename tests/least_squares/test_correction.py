@@ -12,6 +12,7 @@ from jaxcslc.least_squares import (
     Unknowns,
     corrected,
     factors_of,
+    host_kernel_of,
     minimum,
     needs_correction,
     residual_sums,
@@ -55,10 +56,10 @@ def test_corrected_coefficients_are_the_exact_ones(
     """Oracle: the normal equations of the same rows in numbers of 400 bits."""
     motion = motion_of(puma, puma_k, exciting_motion, scale)
     unknowns, weights = Unknowns.of(puma), np.ones(6)
-    solution = minimum(unknowns, factors_of(puma, motion)[0], weights, None)
+    solution = minimum(unknowns, factors_of(puma, motion, host_kernel_of(puma))[0], weights, None)
     assert least < solution.condition < 20.0 * least
     sums = np.asarray(_sums(puma, solution.k, *map(jnp.asarray, motion), on_gpu=on_gpu))
-    fit = corrected(unknowns, solution, weights, [sums])
+    fit = corrected(unknowns, solution, weights, sums[None])
     deviation = np.sqrt(solution.variance * np.diag(solution.inverse_gram))
     error = np.abs(fit.k - exact_coefficients(puma, motion)) / deviation
     assert np.max(error) < _STANDARD_ERRORS
@@ -87,7 +88,7 @@ def test_what_needs_correction(puma: jc.CSLC, puma_k: jax.Array, exciting_motion
     def needed(scale: float, noise: float) -> bool:
         *states, torque, weight = motion_of(puma, puma_k, exciting_motion, scale)
         torque = torque + noise * np.random.default_rng(3).normal(size=torque.shape)
-        factors, _ = factors_of(puma, (*states, torque, weight))
+        factors, _ = factors_of(puma, (*states, torque, weight), host_kernel_of(puma))
         with np.errstate(invalid="ignore"):
             solution = minimum(unknowns, factors, weights, None)
         return needs_correction(unknowns, factors, solution, weights)
@@ -104,8 +105,8 @@ def test_a_fit_in_pieces_is_corrected(
     q, qd, qdd = (x[:600] for x in exciting_motion)
     noise = 1e-4 * np.random.default_rng(4).normal(size=q.shape)
     patterns = patterns_of(puma, puma_k, (q, qd, qdd), noise)
-    monkeypatch.setattr("jaxcslc.least_squares._streaming._CPU_LENGTH", 128)
-    monkeypatch.setattr("jaxcslc.least_squares._compiled._HOST_SAMPLES", 128)
+    monkeypatch.setattr("jaxcslc.least_squares._blocks._CPU_LENGTH", 128)
+    monkeypatch.setattr("jaxcslc.least_squares._blocks.LONG", 128)
     fit = ORDINARY.fit(puma, patterns)
     exact = exact_coefficients(puma, (q, qd, qdd, np.asarray(patterns.torque)))
     assert np.max(np.abs(fit.k - exact) / np.asarray(fit.standard_error)) < _OF_ACCURATE_TORQUES

@@ -1,6 +1,7 @@
 """Standard errors for noise that is correlated in time and across joints."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -12,10 +13,8 @@ from scipy.signal import lfilter
 from scipy.stats import t as student
 
 import jaxcslc as jc
-from jaxcslc.least_squares import KeptRows, PatternRows
-from jaxcslc.least_squares._equations import Equations
-from jaxcslc.least_squares._factors import Unknowns
-from jaxcslc.least_squares._standard_errors import COMPONENTS, Errors, effective_counts
+from jaxcslc.least_squares import Errors, Rows, effective_counts, equations_of
+from jaxcslc.least_squares._errors import COMPONENTS
 from tests.patterns import ORDINARY, Motion, patterns_of
 
 
@@ -166,52 +165,40 @@ def test_effective_counts_of_known_processes(rng: np.random.Generator) -> None:
 
 
 def test_kept_rows_are_the_patterns_rows(
-    arm: jc.CSLC, motion: Motion, rng: np.random.Generator
+    arm: jc.CSLC, motion: Motion, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Kept or computed block by block: the same factors, predictions and sums."""
-    p = arm.size
-    patterns = patterns_of(arm, jnp.asarray(TRUE[:p]), motion, rng.normal(size=motion[0].shape))
+    """Kept, computed again chunk by chunk, or traced: the same factors, residuals and sums."""
+    monkeypatch.setattr("jaxcslc.least_squares._errors._CHUNK", 100)
+    k = jnp.asarray(TRUE[: arm.size])
+    patterns = patterns_of(arm, k, motion, rng.normal(size=motion[0].shape))
     counts = rng.random(motion[0].shape) < 0.7
-    torque, weight = np.asarray(patterns.torque), counts.astype(float)
-    phase = (np.arange(SAMPLES) + 0.5) / SAMPLES
-    q, qd, qdd = (jnp.asarray(x) for x in motion)
-    streamed = PatternRows(
-        network=arm,
-        q=q,
-        qd=qd,
-        qdd=qdd,
-        torque=jnp.asarray(torque),
-        counts=jnp.asarray(weight),
-        phase=jnp.asarray(phase),
+    patterns = eqx.tree_at(lambda p: p.backlash_mask, patterns, counts)
+    kept = Rows.from_equations(equations_of(arm, patterns, None), SAMPLES)
+    again = Rows.from_patterns(arm, patterns)
+    at = np.flatnonzero(np.any(counts, axis=1))
+    residual = rng.normal(size=motion[0].shape) * counts
+    weights, used = np.array([2.0, 0.5]), np.array([1.0, 1.0, 0.0])
+    other_k = TRUE[: arm.size] + 0.1
+    ones = np.ones(motion[0].shape)
+
+    def of_rows(rows: Rows) -> tuple[Any, ...]:
+        sums = rows.cosine_sums(residual, weights, used)
+        return *sums, rows.residuals(other_k), *rows.factors(ones).triangles
+
+    traced = eqx.filter_jit(lambda p: of_rows(Rows.from_patterns(arm, p)))(
+        jax.tree.map(jnp.asarray, patterns)
     )
-    equations = Equations.of(
-        Unknowns.of(arm),
-        np.asarray(arm.regressor(*motion)),
-        torque,
-        counts,
-        time=np.asarray(patterns.time),
-        cutoff=None,
-    )
-    kept = KeptRows.from_equations(equations, SAMPLES)
-    some = np.any(counts, axis=1)
-    at = np.flatnonzero(some)
-    residual = rng.normal(size=motion[0].shape) * weight
-    padded = np.zeros(kept.counts.shape)
-    padded[: len(at)] = residual[at]
-    k, weights, used = jnp.asarray(TRUE[:p]), jnp.array([2.0, 0.5]), jnp.array([1.0, 1.0, 0.0])
-    for one, other in zip(
-        streamed.cosine_sums(jnp.asarray(residual), weights, used),
-        kept.cosine_sums(jnp.asarray(padded), weights, used),
-        strict=True,
-    ):
+    computed = of_rows(again)
+    for one, other in zip(traced[:4], computed[:4], strict=True):
+        assert_allclose(one, other, rtol=1e-7, atol=1e-5)  # cosines are interpolated on the host
+    sums = kept.cosine_sums(residual[at], weights, used)
+    for one, other in zip(computed[:3], sums, strict=True):
         assert_allclose(one, other, atol=1e-8)
-    predicted, others = streamed.predicted(k), kept.predicted(k)
-    assert_allclose((predicted * weight)[at], (others * kept.counts)[: len(at)], atol=1e-10)
-    ones = (jnp.ones(motion[0].shape), jnp.ones(kept.counts.shape))
-    for one, other in zip(
-        streamed.factors(ones[0]).triangles, kept.factors(ones[1]).triangles, strict=True
-    ):
-        assert_allclose(one.T @ one, other.T @ other, atol=1e-8)
+    assert_allclose(again.residuals(other_k)[at], kept.residuals(other_k), atol=1e-10)
+    triangles = traced[4:], computed[4:], kept.factors(ones[at]).triangles
+    for one, two, three in zip(*triangles, strict=True):
+        assert_allclose(one.T @ one, two.T @ two, atol=1e-8)
+        assert_allclose(two.T @ two, three.T @ three, atol=1e-8)
 
 
 def test_same_under_jit(arm: jc.CSLC, motion: Motion, rng: np.random.Generator) -> None:

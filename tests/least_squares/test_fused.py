@@ -19,6 +19,8 @@ from jaxcslc.codegen import (
 )
 from jaxcslc.least_squares import (
     Preconditioner,
+    dense_factors,
+    factors_of,
     fused_gram_matrices,
     fused_kernel_of,
     gram_kernel,
@@ -111,6 +113,32 @@ def test_the_kernel_fits_a_multiprocessor(puma: jc.CSLC) -> None:
 
 def test_there_is_a_kernel_where_it_runs(puma: jc.CSLC) -> None:
     assert (fused_kernel_of(puma) is not None) == kernels_run()
+
+
+def test_factors_behind_the_kernel_without_a_gpu(
+    puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All but the kernel's own products, which JAX computes; oracle: reflections."""
+
+    def products(kernel: Any, inverses: Any, *motion: jax.Array) -> Any:
+        q, qd, qdd, torque, weight = (x.T for x in motion)
+        joints = zip(puma.columns(q, qd, qdd), torque, weight, inverses, strict=True)
+        rows = (
+            (jnp.concatenate([columns, right[None]]) * factor[None]).T @ inverse
+            for columns, right, factor, inverse in joints
+        )
+        return tuple(x.T @ x for x in rows)
+
+    monkeypatch.setattr("jaxcslc.least_squares._gpu_kernel.fused_gram_matrices", products)
+    noise = np.random.default_rng(0).normal(size=exciting_motion[0].shape)
+    patterns = patterns_of(puma, puma_k, exciting_motion, noise)
+    mask = np.asarray(patterns.mask)
+    motion = (*exciting_motion, np.asarray(patterns.torque), mask)
+    factors, _ = factors_of(puma, tuple(map(jnp.asarray, motion)), gram_kernel(puma))
+    expected = dense_factors(puma, patterns)
+    assert np.array_equal(factors.counts, expected.counts)
+    for mine, theirs in zip(factors.triangles, expected.triangles, strict=True):
+        np.testing.assert_allclose(mine.T @ mine, theirs.T @ theirs, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.gpu

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.least_squares import factorise
+from jaxcslc.least_squares import dense_factors, rows_of
 from tests.patterns import ORDINARY, Motion, patterns_of
 
 
@@ -116,10 +116,7 @@ def test_factors_do_not_grow_with_the_patterns(
     puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion
 ) -> None:
     patterns = patterns_of(puma, puma_k, exciting_motion)
-    arrays = [jnp.asarray(x) for x in (*exciting_motion, patterns.torque, np.ones((3000, 6)))]
-    factors_of = lambda *x: factorise(puma, *x)
-    some = jax.eval_shape(factors_of, *(x[:300] for x in arrays))
-    all_ = jax.eval_shape(factors_of, *arrays)
+    some, all_ = (dense_factors(puma, rows_of(patterns, slice(n))) for n in (300, 3000))
     assert [t.shape for t in some.triangles] == [t.shape for t in all_.triangles]
     # 22, 28, 22, 13, 11 and 4 coefficients reach the six joints, and one column is the torque.
     assert [len(t) for t in all_.triangles] == [23, 29, 23, 14, 12, 5]

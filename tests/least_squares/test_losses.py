@@ -12,9 +12,9 @@ from jaxtyping import TypeCheckError
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
+from jaxcslc.least_squares._errors import ERRORS
 from jaxcslc.least_squares._least_squares import check_choice
 from jaxcslc.least_squares._losses import LOSSES, Loss, influence, robust_scale, slope, weight
-from jaxcslc.least_squares._standard_errors import ERRORS
 from tests import arms
 from tests.patterns import ORDINARY, Motion, patterns_of
 

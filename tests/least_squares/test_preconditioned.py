@@ -1,7 +1,8 @@
 """Factors by matrix products: as good as those of Householder's reflections."""
 
+import shutil
+
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -11,7 +12,7 @@ from jaxcslc.least_squares import (
     JointFactors,
     Preconditioner,
     Unknowns,
-    factorise,
+    dense_factors,
     factors_of,
     host_kernel_of,
     joined_factors,
@@ -21,6 +22,9 @@ from scripts.benchmarks.exact_solution import exact_coefficients
 from tests.patterns import ORDINARY, Motion, patterns_of
 
 
+pytestmark = pytest.mark.skipif(
+    shutil.which("cc") is None, reason="no C compiler (cc) on this machine"
+)
 SAMPLES = 3000
 # Factors agree to rounding of some 10^4 rows, in lengths of columns.
 _ROUNDING = 1e-13
@@ -40,11 +44,20 @@ def motion_of(
     return q, qd, qdd, torque + noise * rng.normal(size=q.shape), np.ones(q.shape)
 
 
+def products(
+    network: jc.CSLC, motion: tuple[np.ndarray, ...]
+) -> tuple[JointFactors, Preconditioner]:
+    factors, preconditioner = factors_of(network, motion, host_kernel_of(network))
+    assert preconditioner is not None
+    return factors, preconditioner
+
+
 def reflected(network: jc.CSLC, motion: tuple[np.ndarray, ...]) -> JointFactors:
-    return jax.tree.map(np.asarray, _factorise(network, *map(jnp.asarray, motion)))
-
-
-_factorise = jax.jit(factorise, static_argnums=0)
+    q, qd, qdd, torque, weight = motion
+    pairs = weight != 0.0
+    return dense_factors(
+        network, jc.Patterns(np.arange(len(q)) * 1.0, q, qd, qdd, torque, pairs, pairs)
+    )
 
 
 def scaled(*small: float) -> np.ndarray:
@@ -63,18 +76,14 @@ MOTIONS = {
 }
 
 
-@pytest.mark.parametrize("by_kernel", [False, True], ids=["JAX", "C"])
 @pytest.mark.parametrize("name", MOTIONS)
 def test_factors_are_those_of_reflections(
-    puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion, name: str, *, by_kernel: bool
+    puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion, name: str
 ) -> None:
     """R'R alike to rounding, the same rank, and the same coefficients with the same errors."""
-    kernel = host_kernel_of(puma) if by_kernel else None
-    if by_kernel and kernel is None:
-        pytest.skip("no C compiler (cc) on this machine")
     scale, largest = MOTIONS[name]
     motion = motion_of(puma, puma_k, exciting_motion, scale, 1e-2)
-    expected, (factors, _) = reflected(puma, motion), factors_of(puma, motion, kernel=kernel)
+    expected, (factors, _) = reflected(puma, motion), products(puma, motion)
     assert_array_equal(factors.counts, expected.counts)
     for mine, theirs in zip(factors.triangles, expected.triangles, strict=True):
         lengths = np.linalg.norm(theirs, axis=0)
@@ -104,7 +113,7 @@ def test_coefficients_are_as_near_to_the_exact_ones(
     motion = motion_of(puma, puma_k, (q, qd, qdd), MOTIONS[name][0], 0.1)
     exact = exact_coefficients(puma, motion)
     unknowns, weights = Unknowns.of(puma), np.ones(6)
-    by_products = minimum(unknowns, factors_of(puma, motion)[0], weights, None)
+    by_products = minimum(unknowns, products(puma, motion)[0], weights, None)
     by_reflections = minimum(unknowns, reflected(puma, motion), weights, None)
     deviation = np.sqrt(by_reflections.variance * np.diag(by_reflections.inverse_gram))
     errors = [
@@ -117,7 +126,7 @@ def test_coefficients_are_as_near_to_the_exact_ones(
 def test_noise_free_torques(puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion) -> None:
     """The torque's column depends on the others: what is left of it is rounding."""
     motion = motion_of(puma, puma_k, exciting_motion, scaled(), 0.0)
-    fit = minimum(Unknowns.of(puma), factors_of(puma, motion)[0], np.ones(6), None)
+    fit = minimum(Unknowns.of(puma), products(puma, motion)[0], np.ones(6), None)
     assert_allclose(fit.k, puma_k, atol=1e-12)
     assert fit.variance < 1e-24
 
@@ -127,9 +136,9 @@ def test_another_motions_preconditioner(
 ) -> None:
     """Of patterns in which most joints stand: further passes make up for it."""
     still = motion_of(puma, puma_k, exciting_motion, scaled(0.0, 0.0, 0.0, 0.0), 1e-2)
-    _, preconditioner = factors_of(puma, still)
+    _, preconditioner = products(puma, still)
     motion = motion_of(puma, puma_k, exciting_motion, scaled(), 1e-2)
-    factors, served = factors_of(puma, motion, preconditioner)
+    factors, served = factors_of(puma, motion, host_kernel_of(puma), preconditioner)
     expected = reflected(puma, motion)
     assert served is not preconditioner
     fits = [minimum(Unknowns.of(puma), x, np.ones(6), None) for x in (factors, expected)]
@@ -164,7 +173,7 @@ def test_a_preconditioner_of_products(rng: np.random.Generator) -> None:
 
 def test_patterns_without_weight(puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion) -> None:
     motion = motion_of(puma, puma_k, exciting_motion, scaled(), 1e-2)
-    factors, _ = factors_of(puma, (*motion[:4], np.zeros((SAMPLES, 6))))
+    factors, _ = products(puma, (*motion[:4], np.zeros((SAMPLES, 6))))
     assert_array_equal(factors.counts, np.zeros(6))
     assert all(np.all(triangle == 0.0) for triangle in factors.triangles)
 

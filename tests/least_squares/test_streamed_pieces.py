@@ -1,23 +1,14 @@
-"""Pieces of streams: whose products are summed, and whose are not."""
+"""Blocks of streams: behind a preconditioner that serves them, or does not."""
 
 import itertools
 
 import jax
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.least_squares import JointFactors, _streaming as streaming
-from jaxcslc.least_squares._preconditioned import (
-    LARGEST_ERROR,
-    Products,
-    add_up,
-    part_of,
-    sample_of,
-    triangles_of,
-    unpacked,
-)
+from jaxcslc.least_squares import _blocks
 from tests.patterns import ORDINARY, Motion, patterns_of
 
 
@@ -33,7 +24,7 @@ def chunks_of(patterns: jc.Patterns, *lengths: int) -> list[jc.Patterns]:
 
 @pytest.mark.parametrize("still_first", [False, True], ids=["alike", "another motion first"])
 @pytest.mark.parametrize("workers", [1, 3])
-@pytest.mark.parametrize("compiler", ["cc", ""], ids=["C", "JAX"])
+@pytest.mark.parametrize("compiler", ["cc", ""], ids=["C", "NumPy"])
 def test_a_stream_is_a_fit_of_all_its_patterns(
     puma: jc.CSLC,
     puma_k: jax.Array,
@@ -47,9 +38,9 @@ def test_a_stream_is_a_fit_of_all_its_patterns(
 ) -> None:
     """Whatever the chunks; the first pieces' preconditioner serves later ones, or does not."""
     if compiler == "":
-        monkeypatch.setattr(streaming, "host_kernel_of", lambda network: None)
-    monkeypatch.setattr(streaming, "_CPU_LENGTH", PIECE)
-    monkeypatch.setattr(streaming, "_MOST_PARTS", 2)
+        monkeypatch.setattr(_blocks, "kernel_of", lambda *_: None)
+    monkeypatch.setattr(_blocks, "_CPU_LENGTH", PIECE)
+    monkeypatch.setattr(_blocks, "_MOST_PARTS", 2)
     q, qd, qdd = (0.5 * x for x in exciting_motion)
     if still_first:
         for x in (q, qd, qdd):
@@ -61,26 +52,3 @@ def test_a_stream_is_a_fit_of_all_its_patterns(
     error = np.abs(np.asarray(fit.k - expected.k)) / np.asarray(expected.standard_error)
     assert np.max(error) < STANDARD_ERRORS
     assert_allclose(fit.standard_error, expected.standard_error, rtol=1e-9)
-
-
-def test_sums_of_products_keep_the_bound_of_errors(
-    puma: jc.CSLC, puma_k: jax.Array, exciting_motion: Motion, rng: np.random.Generator
-) -> None:
-    """Of products that `add_up`, and of their sums; few patterns' products do not."""
-    patterns = patterns_of(puma, puma_k, exciting_motion, rng.normal(size=(3000, 6)))
-    motion = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, np.ones((3000, 6)))
-    preconditioner = sample_of(puma, motion)
-    total, counts = np.zeros(()), 0
-    for start in (0, 700, 1400):
-        stretch = tuple(np.asarray(x)[start : start + 700] for x in motion)
-        part, served = part_of(puma, stretch, preconditioner)
-        assert isinstance(part, Products) and served is preconditioner
-        total = total + part.numbers
-        counts += 700
-    *grams, summed = unpacked(puma, total)
-    assert_array_equal(summed, counts)
-    assert np.max(triangles_of(preconditioner, grams)[1]) < LARGEST_ERROR
-    few = tuple(np.asarray(x)[:20] for x in motion)  # fewer patterns than columns
-    part, served = part_of(puma, few, preconditioner)
-    assert isinstance(part, JointFactors)
-    assert not add_up(preconditioner, [np.full_like(x, np.nan) for x in grams])
