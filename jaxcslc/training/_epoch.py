@@ -4,6 +4,7 @@
 epochs; `_plan` states the rules.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -209,7 +210,7 @@ def epoch(
     if preference.change is not None:
         same = jnp.all(assessed.weights == state.weights)
         known = preference.change, preference.looked & same
-    weights, rates = _learnt(network, plan, training_set, assessed, assessed.cost, known, rule)
+    weights, rates = _learnt(network, plan, training_set, assessed, known, rule)
     moved = eqx.tree_at(
         lambda s: (s.weights, s.rates, s.epoch),
         assessed,
@@ -349,76 +350,51 @@ def _learnt(
     plan: Plan,
     training_set: Examples | NormalEquations,
     state: TrainingState,
-    cost: Array,
     known: _Known | None,
     commanded_rule: int | None,
 ) -> tuple[Float[Array, " weights"], Float[Array, " groups"]]:
     """The weights after the epoch, and the rates that led to them."""
-    branches = [
-        lambda weights, rates, number=number: _learn_by(
-            network,
-            plan,
-            training_set,
-            number,
-            weights,
-            rates,
-            state.key,
-            state.epoch,
-            cost,
-            known,
-        )
-        for number in range(len(plan.schedule.rules))
-    ]
+    learning = plan.learning(network)
+
+    def learn_by(number: int, weights: Array, rates: Array) -> tuple[Array, Array]:
+        """An epoch of one rule at the rates that serve best."""
+        rule = plan.schedule.rules[number]
+        if plan.order == "batch":
+
+            def computed() -> Array:
+                return training_set.change(network, rule, weights, learning)
+
+            change = (
+                computed() if known is None else jax.lax.cond(known[1], lambda: known[0], computed)
+            )
+
+            def after(trial: Array) -> Array:
+                return weights + trial @ change
+
+            def costs_after(trials: Array) -> Array:
+                return training_set.trial_costs(network, weights, change, trials, plan.cost)
+        else:
+            assert isinstance(training_set, Examples), training_set.check_rule(
+                rule, plan.cost, plan.order
+            )
+            key = jax.random.fold_in(state.key, state.epoch)
+            sequence = jax.random.permutation(key, training_set.targets.shape[-1])
+
+            def after(trial: Array) -> Array:
+                return _one_by_one(network, rule, training_set, weights, trial, sequence, learning)
+
+            def costs_after(trials: Array) -> Array:
+                candidates = jax.vmap(after)(trials)
+                return jax.vmap(lambda w: training_set.costs(network, w, plan.cost)[0])(candidates)
+
+        at, moves = plan.rule_rates[number].choose(rates, state.cost, costs_after)
+        return jnp.where(moves, after(at), weights), at
+
+    branches = [partial(learn_by, number) for number in range(len(plan.schedule.rules))]
     present = state.rates[state.turn.rule]
     if len(branches) == 1 or commanded_rule is not None:
         return branches[commanded_rule or 0](state.weights, present)
     return jax.lax.switch(state.turn.rule, branches, state.weights, present)
-
-
-def _learn_by(
-    network: AdaptiveNetwork,
-    plan: Plan,
-    training_set: Examples | NormalEquations,
-    number: int,
-    weights: Array,
-    rates: Array,
-    key: Array,
-    epoch: Array,
-    cost: Array,
-    known: _Known | None,
-) -> tuple[Array, Array]:
-    """An epoch of one rule at the rates that serve best."""
-    rule, adapting = plan.schedule.rules[number], plan.rule_rates[number]
-    learning = plan.learning(network)
-    if plan.order == "batch":
-
-        def computed() -> Array:
-            return training_set.change(network, rule, weights, learning)
-
-        change = computed() if known is None else jax.lax.cond(known[1], lambda: known[0], computed)
-
-        def after(trial: Array) -> Array:
-            return weights + trial @ change
-
-        def costs_after(trials: Array) -> Array:
-            return training_set.trial_costs(network, weights, change, trials, plan.cost)
-    else:
-        assert isinstance(training_set, Examples), training_set.check_rule(
-            rule, plan.cost, plan.order
-        )
-        sequence = jax.random.permutation(
-            jax.random.fold_in(key, epoch), training_set.targets.shape[-1]
-        )
-
-        def after(trial: Array) -> Array:
-            return _one_by_one(network, rule, training_set, weights, trial, sequence, learning)
-
-        def costs_after(trials: Array) -> Array:
-            candidates = jax.vmap(after)(trials)
-            return jax.vmap(lambda w: training_set.costs(network, w, plan.cost)[0])(candidates)
-
-    at, moves = adapting.choose(rates, cost, costs_after)
-    return jnp.where(moves, after(at), weights), at
 
 
 def _one_by_one(

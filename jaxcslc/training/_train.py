@@ -271,33 +271,23 @@ def _many_steps(
         return training_steps(
             network, plan, training_set, stop_set, state, epochs, keep_weights, rule
         )
+
+    def numbers(plan: Plan) -> tuple[Any, ...]:
+        return plan.schedule.hand_over, plan.schedule.least_reduction, plan.target
+
     # What differs between trainings is mapped over; the rest is shared.
-    mapped_set = None if training_set.trainings is None else training_set
-    mapped_stop_set = None if stop_set is None or stop_set.trainings is None else stop_set
-    numbers = (plan.schedule.hand_over, plan.schedule.least_reduction, plan.target)
-    mapped_numbers = tuple(x if jnp.ndim(x) == 1 else None for x in numbers)
+    single = jax.tree.map(lambda _: False, plan)
+    of_plan = eqx.tree_at(numbers, single, tuple(jnp.ndim(x) == 1 for x in numbers(plan)))
+    of_stop_set = stop_set is not None and stop_set.trainings is not None
+    differs = of_plan, training_set.trainings is not None, of_stop_set
+    mapped, shared = eqx.partition((plan, training_set, stop_set), differs)
 
     def one(mapped: Any) -> tuple[TrainingState, Record]:
-        state, training_set_of_one, stop_set_of_one, numbers_of_one = mapped
-        replaced = tuple(
-            x if y is None else y for x, y in zip(numbers, numbers_of_one, strict=True)
-        )
-        plan_of_one = eqx.tree_at(
-            lambda p: (p.schedule.hand_over, p.schedule.least_reduction, p.target), plan, replaced
-        )
-        return training_steps(
-            network,
-            plan_of_one,
-            training_set if training_set_of_one is None else training_set_of_one,
-            stop_set if stop_set_of_one is None else stop_set_of_one,
-            state,
-            epochs,
-            keep_weights,
-            rule,
-        )
+        state, of_training = mapped
+        arguments: Any = eqx.combine(of_training, shared)
+        return training_steps(network, *arguments, state, epochs, keep_weights, rule)
 
-    mapped = (state, mapped_set, mapped_stop_set, mapped_numbers)
-    return jax.lax.map(one, mapped, batch_size=block)
+    return jax.lax.map(one, (state, mapped), batch_size=block)
 
 
 def _turn_in_step(

@@ -25,12 +25,10 @@ from jaxcslc.training import (
     IdealPERAL,
     Plan,
     RuleStatements,
-    _costs,
     _examples,
+    _functions,
     _kernel as _change,
-    _kernel_source,
     _kernel_statements as _statements,
-    _stages,
     batched_by,
     examples,
     fully_connected,
@@ -182,8 +180,8 @@ def test_stages_add_up_to_the_whole(
     rule: AbstractRule,
 ) -> None:
     """As few weights and sums in a stage as there can be: one for each output, one for several."""
-    monkeypatch.setattr(_stages, "_MOST_KEPT", 0)
-    monkeypatch.setattr(_stages, "_LEAST_SAVING", 2)
+    monkeypatch.setattr(_statements, "_MOST_KEPT", 0)
+    monkeypatch.setattr(_statements, "_LEAST_SAVING", 2)
     learning = (True,) * len(arm.groups)
     weights = rng.normal(size=arm.size)
     _statements._rule_statements.cache_clear()
@@ -225,34 +223,32 @@ def test_what_patterns_decide_is_collected() -> None:
 def test_layouts_fit_a_multiprocessor(arm: AdaptiveNetwork) -> None:
     statements = statements_of(arm, PERAL(), (True,) * len(arm.groups))
     for trainings in (1, 5, 33, 70, 200, 4096):
-        launch = _kernel_source.launch_of(statements, trainings)
+        launch = _change.launch_of(statements, trainings)
         assert launch is not None
         assert launch.threads >= min(trainings, 256)
         assert launch.resident * (launch.shared_bytes + 1024) <= 227 * 1024
-        text = _kernel_source.source(statements, launch)
+        text = _change.source(statements, launch)
         assert text.count("{") == text.count("}") and "row[" not in text
-    assert len(_kernel_source.rows_source(statements).splitlines()) > len(statements.rows)
+    assert len(_change.rows_source(statements).splitlines()) > len(statements.rows)
 
 
 def test_no_layout_where_rows_are_too_long(
     arm: AdaptiveNetwork, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(_kernel_source, "_SHARED", 1500)
-    assert (
-        _kernel_source.launch_of(statements_of(arm, PERAL(), (True,) * len(arm.groups)), 64) is None
-    )
+    assert _change.launch_of(statements_of(arm, PERAL(), (True,) * len(arm.groups)), 64) is None
 
 
 @pytest.mark.parametrize("cost", COSTS)
 def test_costs_are_sums_over_patterns(cost: Any, patterns: Examples) -> None:
-    terms = _costs.error_sum(cost)
+    terms = _functions.error_sum(cost)
     assert terms is not None
     errors, counts = patterns.targets * patterns.counts, patterns.counts
     size = errors**2 if terms.square else jnp.abs(errors)
     sums = jnp.sum(size * terms.shares(counts), axis=0)
     total = jnp.sum(jnp.sqrt(sums) if terms.root else sums) * terms.scale(counts)
     assert_allclose(total, cost(errors, counts), **ROUNDING)
-    assert _costs.error_sum(lambda errors, counts: jnp.sum(errors)) is None
+    assert _functions.error_sum(lambda errors, counts: jnp.sum(errors)) is None
 
 
 def test_own_arguments_are_given_the_axis(rng: np.random.Generator) -> None:
@@ -408,7 +404,7 @@ def test_costs_by_the_kernel(
 @pytest.mark.gpu
 def test_assembly_of_the_kernel(arm: AdaptiveNetwork) -> None:
     statements = statements_of(arm, PERAL(), (True,) * len(arm.groups))
-    launch = _kernel_source.launch_of(statements, 4096)
+    launch = _change.launch_of(statements, 4096)
     assert launch is not None
-    assert ".entry changes" in assembly(_kernel_source.source(statements, launch))
-    assert ".entry rows" in assembly(_kernel_source.rows_source(statements))
+    assert ".entry changes" in assembly(_change.source(statements, launch))
+    assert ".entry rows" in assembly(_change.rows_source(statements))
