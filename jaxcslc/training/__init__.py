@@ -10,13 +10,13 @@ Modules, in reading order:
 
 - `_network`: layers, links, and the network that they form.
 - `_networks`: the CSLC and other networks as adaptive ones, and weights to start from.
-- `_activations`, `_costs`: functions of nodes and of errors.
-- `_examples`, `_normal_equations`: patterns as training takes them.
-- `_rules`, `_peral`: learning rules.
+- `_functions`: functions of nodes, and costs of errors.
+- `_examples`: patterns as training takes them, and their normal equations.
+- `_rules`: learning rules.
 - `_plan`: schedule of rules, rates, and when to end.
-- `_epoch`, `_train`, `_history`: one epoch, a whole training, and its result.
-- `_pruning`, `_compact`: removal of links.
-- `_kernel` and its neighbours, `_cost_kernel`: CUDA kernels for many trainings side by side.
+- `_epoch`, `_train`: one epoch, a whole training, and its result.
+- `_pruning`: removal of links, and the smaller network.
+- `_kernel_statements`, `_kernel`, `_cost_kernel`: CUDA kernels for many trainings side by side.
 """
 
 from ._epoch import (

@@ -1,6 +1,6 @@
 """CUDA kernel for the costs of many trainings, also after changes at several sets of rates.
 
-Read with `_costs`, whose costs it computes, and `_examples`, which calls it.
+Read with `_functions`, whose costs it computes, and `_examples`, which calls it.
 """
 
 from collections.abc import Sequence

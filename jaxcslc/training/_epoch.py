@@ -1,7 +1,7 @@
 """One epoch of a training: assess, decide whether to go on and by which rule, and learn.
 
-`State` is what passes from epoch to epoch, and `Record` is what the history keeps. `_train` runs
-epochs; `_plan` states the rules.
+`TrainingState` is what passes from epoch to epoch, `Record` is what the history keeps, and
+`Training` is the result. `_train` runs epochs; `_plan` states the rules.
 """
 
 from functools import partial
@@ -364,9 +364,11 @@ def _learnt(
             def computed() -> Array:
                 return training_set.change(network, rule, weights, learning)
 
-            change = (
-                computed() if known is None else jax.lax.cond(known[1], lambda: known[0], computed)
-            )
+            if known is None:
+                change = computed()
+            else:
+                found, holds = known
+                change = jax.lax.cond(holds, lambda: found, computed)
 
             def after(trial: Array) -> Array:
                 return weights + trial @ change
@@ -374,18 +376,17 @@ def _learnt(
             def costs_after(trials: Array) -> Array:
                 return training_set.trial_costs(network, weights, change, trials, plan.cost)
         else:
-            assert isinstance(training_set, Examples), training_set.check_rule(
-                rule, plan.cost, plan.order
-            )
+            patterns = training_set
+            assert isinstance(patterns, Examples), patterns.check_rule(rule, plan.cost, plan.order)
             key = jax.random.fold_in(state.key, state.epoch)
-            sequence = jax.random.permutation(key, training_set.targets.shape[-1])
+            sequence = jax.random.permutation(key, patterns.targets.shape[-1])
 
             def after(trial: Array) -> Array:
-                return _one_by_one(network, rule, training_set, weights, trial, sequence, learning)
+                return _one_by_one(network, rule, patterns, weights, trial, sequence, learning)
 
             def costs_after(trials: Array) -> Array:
                 candidates = jax.vmap(after)(trials)
-                return jax.vmap(lambda w: training_set.costs(network, w, plan.cost)[0])(candidates)
+                return jax.vmap(lambda w: patterns.costs(network, w, plan.cost)[0])(candidates)
 
         at, moves = plan.rule_rates[number].choose(rates, state.cost, costs_after)
         return jnp.where(moves, after(at), weights), at

@@ -1,4 +1,7 @@
-"""Activations of nodes and their derivatives (thesis 3.3)."""
+"""Functions of nodes and of errors: activations with their slopes (thesis 3.3), and costs.
+
+Costs are mean modulus, half RMS and half square (Eqn. 3.4-2, 6.3.1, 7.5).
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """Changes of the weights of many trainings by one CUDA kernel.
 
-`_kernel_statements` writes a rule's formulas as straight-line code. `_stages` divides them among
-stages of a thread, and `_kernel_source` makes the source.
+`_kernel_statements` writes a rule's formulas as straight-line code, in stages of a thread. Here
+stand the source, its launch layout, and the call.
 """
 
 import re

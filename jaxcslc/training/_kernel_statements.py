@@ -1,4 +1,8 @@
-"""Division of a rule's sums into stages that the registers of a GPU's thread can hold."""
+"""Straight-line code of a learning rule, traced from the rule itself, for `_kernel`.
+
+What patterns alone decide is collected and computed once for all trainings. Sums are divided into
+stages that the registers of a GPU's thread can hold.
+"""
 
 import re
 from collections import Counter

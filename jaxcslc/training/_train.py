@@ -284,8 +284,10 @@ def _many_steps(
 
     def one(mapped: Any) -> tuple[TrainingState, Record]:
         state, of_training = mapped
-        arguments: Any = eqx.combine(of_training, shared)
-        return training_steps(network, *arguments, state, epochs, keep_weights, rule)
+        plan, training_set, stop_set = eqx.combine(of_training, shared)
+        return training_steps(
+            network, plan, training_set, stop_set, state, epochs, keep_weights, rule
+        )
 
     return jax.lax.map(one, (state, mapped), batch_size=block)
 
