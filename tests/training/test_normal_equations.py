@@ -22,7 +22,7 @@ from jaxcslc.training import (
     Plan,
     Signals,
     Subnetwork,
-    _normal_equations as module,
+    _examples as module,
     examples,
     fully_connected,
     half_rms,
