@@ -71,9 +71,9 @@ def test_a_term_agrees_with_itself(
     q, qd, qdd = state
     still = jnp.zeros_like(q)
     shares = {
-        "mass": jnp.einsum("tij,tj->ti", term.mass_matrix(k, q), qdd),
-        "velocity": term.velocity_term(k, q, qd),
-        "gravity": term.gravity_term(k, q),
+        "mass": jnp.einsum("tij,tj->ti", term.part("mass_matrix", k, q), qdd),
+        "velocity": term.part("velocity", k, q, qd),
+        "gravity": term.part("gravity", k, q),
         "friction": term.torque(k, still, qd, still),
         "spring": term.torque(k, q, still, still),
         "load": term.torque(k, *state),
