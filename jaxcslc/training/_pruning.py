@@ -118,8 +118,7 @@ def prune(
     **Arguments**
 
     - `cost`: weights (p,), and `args`, to a scalar: the error of the training set. Anything that
-      can be `vmap`ped over the weights: a network of Equinox by
-      `jax.flatten_util.ravel_pytree`, for one.
+      JAX can compile: a network of Equinox by `jax.flatten_util.ravel_pytree`, for one.
     - `weights`: (p,) as trained.
     - `links`: from where to where; without it no nodes are removed.
     - `tolerance`: relative, 0 or more.
@@ -153,11 +152,11 @@ def prune(
     _check(start.size, links, may_go, tolerance, passes)
     network = _Wiring(links)
 
-    def costs(kept: Bool[np.ndarray, "sets p"]) -> Float[np.ndarray, " sets"]:
-        return np.asarray(_costs(cost, kept, jnp.asarray(weights), args), float)
+    def cost_of(kept: Bool[np.ndarray, " p"]) -> float:
+        return float(_cost(cost, kept, jnp.asarray(weights), args))
 
     kept = np.ones(start.size, dtype=bool)
-    before = float(costs(kept[None])[0])
+    before = cost_of(kept)
     if not np.isfinite(before):
         raise ValueError(f"the cost before pruning is {before}; expected a finite number")
     limit = (1.0 + tolerance) * before
@@ -167,17 +166,16 @@ def prune(
     finished = False
     while not finished and (passes is None or done < passes):
         left = np.flatnonzero(kept & may_go)
-        # Also without those that are gone, so that one program does for all passes.
-        alone = costs(np.stack([network.without(kept, i) for i in range(start.size)]))
+        alone = np.array([cost_of(network.without(kept, one)) for one in left.tolist()])
         if done == 0:
-            sensitivity[left] = alone[left] - before
+            sensitivity[left] = alone - before
         done += 1
-        order = left[np.argsort(alone[left], kind="stable")].tolist()
-        going = [one for one in order if alone[one] <= limit]
+        order = np.argsort(alone, kind="stable")
+        going = left[order][alone[order] <= limit].tolist()
         for one in going:
             trial = network.without(kept, one)
             # It may have gone with a node. A cost that is no number is marked.
-            if kept[one] and costs(trial[None])[0] <= limit:
+            if kept[one] and cost_of(trial) <= limit:
                 gone = np.flatnonzero(kept & ~trial).tolist()
                 removed += sorted(gone, key=lambda i: not may_go[i])  # the link before its node's
                 kept = trial
@@ -186,7 +184,7 @@ def prune(
         kept,
         np.where(kept, start, 0.0),
         before,
-        float(costs(kept[None])[0]),
+        cost_of(kept),
         sensitivity,
         np.array(removed, dtype=int),
         network.gone(kept),
@@ -195,23 +193,15 @@ def prune(
     )
 
 
-# Costs that are evaluated at a time, each with activations of its own in memory.
-_BLOCK = 64
-
-
+# One program for all costs: others round differently, and a link without any effect might stay.
 @functools.partial(jax.jit, static_argnums=0)
-def _costs(
-    cost: Callable[..., Any], kept: Bool[Array | np.ndarray, "sets p"], weights: Array, args: Any
-) -> Float[Array, " sets"]:
-    def of_links(left: Array) -> Array:
-        value = jnp.asarray(cost(jnp.where(left, weights, 0), *args))
-        if value.shape != ():
-            raise ValueError(
-                f"the cost has shape {value.shape}; expected a scalar for weights (p,)"
-            )
-        return value
-
-    return jax.lax.map(of_links, kept, batch_size=_BLOCK)
+def _cost(
+    cost: Callable[..., Any], kept: Bool[Array | np.ndarray, " p"], weights: Array, args: Any
+) -> Float[Array, ""]:
+    value = jnp.asarray(cost(jnp.where(kept, weights, 0), *args))
+    if value.shape != ():
+        raise ValueError(f"the cost has shape {value.shape}; expected a scalar for weights (p,)")
+    return value
 
 
 class _Wiring:
