@@ -259,7 +259,7 @@ def fused_gram_matrices(
 @eqx.filter_jit
 def _products_of(
     kernel: GramKernel,
-    inverses: Float[np.ndarray, " packed"],
+    inverses: Float[Array | np.ndarray, " packed"],
     *motion: Shaped[Array, "samples _"],
     sample: bool,
 ) -> Float[Array, " numbers"]:
