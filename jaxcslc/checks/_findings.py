@@ -46,7 +46,7 @@ AGREEMENT_KINDS = ("payload", "friction", "disagreement")
 SPOILING_KINDS = (
     *("time unit", "angle unit", "torque unit", "sign", "swapped joints", "wrong robot"),
 )
-"""With one of these, no model explains the torque, and everything computed says so again."""
+"""Kinds of findings that hide all others: no model explains the torque."""
 
 _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
     {

@@ -219,7 +219,7 @@ def identify_command(
             report = _identified(context, part.read(robot), options, drives, recordings, step)
         step("writing")
         paths = report.save(options.output, command=command_text(context))
-    typer.echo(f"{report}\n\n{report.verdict}\n\n{wrote(paths)}")
+    typer.echo(f"{report}\n\n{wrote(paths)}")
 
 
 def _identified(

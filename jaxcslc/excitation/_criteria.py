@@ -50,7 +50,7 @@ EXPLANATIONS: dict[str, str] = {
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Goal:
-    """What a motion is designed for.
+    """Goal of a design: criterion, coefficients that matter, and a task.
 
     **Attributes**
 

@@ -32,7 +32,7 @@ _ROUNDINGS = 64.0
 _PIVOTS = 32
 
 _Stretch: TypeAlias = tuple[Array, Array, Array, Array, Array]
-"""How far joints have moved, velocities, time left, directions from rest, friction."""
+"""State within a step: travelled way, velocity, time left, direction from rest, friction."""
 
 
 class Friction(eqx.Module):

@@ -324,7 +324,8 @@ class AbstractReport(abc.ABC, Generic[N]):
 
     def __str__(self) -> str:
         paragraphs = (lines for section in self.sections for lines in section.text(self))
-        return "\n\n".join("\n".join(lines) for lines in paragraphs if lines)
+        text = ["\n".join(lines) for lines in paragraphs if lines]
+        return "\n\n".join([*text, self.verdict])
 
     def _repr_html_(self) -> str:
         """Return the page without drawings, for notebooks."""

@@ -3,7 +3,7 @@
     python -m scripts.tools.english              every page that `make check` holds to the rules
     python -m scripts.tools.english docs/x.md    one page, with its figures
 
-The rules are those of plain technical English. A sentence of a guide has at most 40 words, and
+The rules are those of plain technical English. A sentence of a guide has at most 30 words, and
 the mean of a page is at most 17. Phrases that a reader has to translate have a better one, which
 the message names. Evidence pages, which studies write, are checked for phrases alone.
 """
@@ -17,7 +17,7 @@ from pathlib import Path
 
 
 ROOT = Path(__file__).parents[2]
-LONGEST, MEAN = 40, 17  # words
+LONGEST, MEAN = 30, 17  # words
 
 # Pages with figures of studies: their tables and disclosures are not held to a length.
 EVIDENCE = frozenset(

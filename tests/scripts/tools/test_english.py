@@ -25,7 +25,7 @@ def test_sentences_and_words() -> None:
     [
         ("It uses a spline in place of a filter.", "write 'instead of'"),
         ("The report shows ε of the arm.", "ε is not defined"),
-        ("A " + "very " * 45 + "long sentence.", "at most 40"),
+        ("A " + "very " * 45 + "long sentence.", "at most 30"),
     ],
 )
 def test_what_is_found(text: str, problem: str, tmp_path: Path) -> None:
