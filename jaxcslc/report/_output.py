@@ -2,14 +2,13 @@
 
 import csv
 import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Array
 
+from .._plain_data import plain
 from .._scratch import all_or_nothing
 from ._page import render
 
@@ -107,27 +106,5 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 def write_json(path: Path, document: Mapping[str, Any]) -> None:
     """A document as JSON; numbers that JSON cannot represent become null."""
-    path.write_text(_text(document, "\n") + "\n", encoding="utf-8")
-
-
-def _text(value: Any, line: str) -> str:
-    """A value as `json.dumps` writes it with an indent of 2, which is slow for many numbers.
-
-    - `line`: the end of a line, and the indent of the next one.
-    """
-    inner = line + "  "
-    if isinstance(value, float):
-        return float.__repr__(value) if math.isfinite(value) else "null"
-    if isinstance(value, Mapping):
-        names = (json.dumps(str(name), ensure_ascii=False) for name in value)
-        entries = [
-            f"{name}: {_text(entry, inner)}"
-            for name, entry in zip(names, value.values(), strict=True)
-        ]
-        return f"{{{inner}{f',{inner}'.join(entries)}{line}}}" if entries else "{}"
-    if isinstance(value, list | tuple):
-        entries = [_text(entry, inner) for entry in value]
-        return f"[{inner}{f',{inner}'.join(entries)}{line}]" if entries else "[]"
-    if isinstance(value, np.ndarray | np.generic | Array):
-        return _text(np.asarray(value).tolist(), line)
-    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(plain(document), indent=2, ensure_ascii=False, allow_nan=False)
+    path.write_text(f"{text}\n", encoding="utf-8")
