@@ -82,7 +82,7 @@ def _written_c(saved: Report, output: Path | None) -> str:
     if (states := saved.pre_sliding) is None:
         code = c_code(saved.network, saved.fit.k)
     else:
-        code = c_code(states.network, states.fit.k, lengths=states.presliding_distance)
+        code = c_code(states.network, states.fit.k, presliding_distance=states.presliding_distance)
     source, header = write_c(code, output)
     counts = ", ".join(f"{name} {count}" for name, count in code.operations.items())
     note = _pre_sliding(

@@ -61,19 +61,19 @@ class Dynamics:
     - `network`, `k`: (p,) its coefficients.
     - `motion`: the joints' positions, velocities and accelerations.
     - `rigid_body`: the rigid-body part, payload included.
-    - `lengths`: (n,) of pre-sliding [rad or m]; 0 where dry friction follows the sign of velocity.
+    - `presliding_distance`: (n,) [rad or m]; 0 where dry friction follows the sign of velocity.
     """
 
     network: CSLC
     k: Float[np.ndarray, " coefficients"]
     motion: Motion
     rigid_body: RigidBodies
-    lengths: Float[np.ndarray, " joints"]
+    presliding_distance: Float[np.ndarray, " joints"]
 
     @property
     def contacts(self) -> dict[int, Value]:
         """State of each pre-sliding contact, by joint."""
-        joints = np.flatnonzero(self.lengths).tolist()
+        joints = np.flatnonzero(self.presliding_distance).tolist()
         return {joint: self.motion.graph.input(f"w[{joint}]") for joint in joints}
 
 
@@ -117,7 +117,9 @@ def pre_sliding(dynamics: Dynamics) -> list[Value]:
     states = [motion.graph.constant(0.0)] * dynamics.network.joint_count
     for joint, w in dynamics.contacts.items():
         change = motion.graph.input(f"dq[{joint}]")
-        states[joint] = state_after(w, change, float(dynamics.lengths[joint]), functions)
+        states[joint] = state_after(
+            w, change, float(dynamics.presliding_distance[joint]), functions
+        )
     return states
 
 
@@ -196,11 +198,11 @@ class ExportedFunction:
 def c_functions(
     network: CSLC,
     k: Float[np.ndarray, " coefficients"],
-    lengths: Float[np.ndarray, " joints"],
+    presliding_distance: Float[np.ndarray, " joints"],
 ) -> list[ExportedFunction]:
     """Return every function, computed in the way that needs the fewest operations."""
     ways = list(rigid_bodies(network, k))
-    yields = bool(np.any(lengths))
+    yields = bool(np.any(presliding_distance))
     functions: list[ExportedFunction] = []
     for operation in (*OPERATIONS, *(STATE_OPERATIONS if yields else ())):
         inputs = (*operation.inputs, *(("w",) if yields and operation.has_friction else ()))
@@ -208,13 +210,15 @@ def c_functions(
         for rigid_body in ways:
             motion = Motion(network.joint_count)
             with np.errstate(over="ignore", invalid="ignore"):  # refused below
-                values = operation.values(Dynamics(network, k, motion, rigid_body(motion), lengths))
+                values = operation.values(
+                    Dynamics(network, k, motion, rigid_body(motion), presliding_distance)
+                )
             if values is not None:
                 candidates.append(ExportedFunction(operation, inputs, motion.graph, values))
         function = min(candidates, key=lambda candidate: candidate.cost)
         if not function.is_finite:
             raise ValueError(
-                f"{operation.name}: a constant overflows; expected coefficients and lengths whose"
+                f"{operation.name}: a constant overflows; expected coefficients and distances whose"
                 " products and reciprocals are finite numbers"
             )
         functions.append(function)
@@ -242,12 +246,12 @@ def header_file(
     name: str,
     network: CSLC,
     functions: Sequence[ExportedFunction],
-    lengths: Float[np.ndarray, " joints"],
+    presliding_distance: Float[np.ndarray, " joints"],
 ) -> str:
     """Return the declarations: contents of `NAME.h`."""
     guard = f"{name.upper()}_H"
     lines = [f"#ifndef {guard}", f"#define {guard}", "", "/*"]
-    lines += [*_about(network), *_about_states(name, network, lengths), "*/", ""]
+    lines += [*_about(network), *_about_states(name, network, presliding_distance), "*/", ""]
     lines += ["#ifdef __cplusplus", 'extern "C" {', "#endif", ""]
     for function in functions:
         declaration = f"{_signature(name, network.joint_count, function)};"
@@ -327,15 +331,17 @@ def _about(network: CSLC) -> list[str]:
     ]
 
 
-def _about_states(name: str, network: CSLC, lengths: Float[np.ndarray, " joints"]) -> list[str]:
+def _about_states(
+    name: str, network: CSLC, presliding_distance: Float[np.ndarray, " joints"]
+) -> list[str]:
     """Explain the use of states of contacts, where there are any."""
-    if not np.any(lengths):
+    if not np.any(presliding_distance):
         return []
     units = {"R": "rad", "P": "m"}
     listed = ", ".join(
         f"{_plain(joint)} {length:.6g} {units[kind]}"
         for joint, kind, length in zip(
-            network.output_names, network.joint_kinds, lengths, strict=True
+            network.output_names, network.joint_kinds, presliding_distance, strict=True
         )
         if length > 0.0
     )
@@ -409,7 +415,7 @@ def c_code(
     k: Float[Array | np.ndarray, " coefficients"],
     *,
     name: str | None = None,
-    lengths: Float[Array | np.ndarray, " joints"] | None = None,
+    presliding_distance: Float[Array | np.ndarray, " joints"] | None = None,
 ) -> CCode:
     """Write self-contained C99 for torque, mass matrix, gravity and regressor.
 
@@ -428,8 +434,8 @@ def c_code(
         void NAME_regressor(const double q[n], const double qd[n], const double qdd[n],
                             double regressor[n * p])                            row by row
 
-    With `lengths`, torque and regressor take states `const double w[n]` of contacts before their
-    output, and the caller, who keeps them, updates them by
+    With `presliding_distance`, torque and regressor take states `const double w[n]` of contacts
+    before their output, and the caller, who keeps them, updates them by
 
         void NAME_pre_sliding(const double dq[n], const double w[n], double next[n])
 
@@ -439,7 +445,7 @@ def c_code(
 
     - `network`, `k`: (p,) its coefficients, such as `fit.k`.
     - `name`: a C identifier; made of the robot's name if omitted.
-    - `lengths`: (n,) of pre-sliding [rad or m], 0 where dry friction follows the sign of velocity,
+    - `presliding_distance`: (n,) [rad or m], 0 where dry friction follows the sign of velocity,
       such as `report.pre_sliding.presliding_distance` beside `k=report.pre_sliding.fit.k`; zeros if
       None.
 
@@ -448,8 +454,8 @@ def c_code(
     **Raises**
 
     - `ValueError`: for a name that is no C identifier or is `math`, for coefficients that are not
-      finite or not p, for lengths that are not n from 0 up, or of joints without dry friction, and
-      for numbers so large, or lengths so small, that constants of the code overflow.
+      finite or not p, for distances that are not n from 0 up, or of joints without dry friction,
+      and for numbers so large, or distances so small, that constants of the code overflow.
 
     >>> import jax.numpy as jnp, jaxcslc as jc
     >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric")
@@ -469,7 +475,10 @@ def c_code(
     name = identifier(network.robot.name) if name is None else name
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or name in _RESERVED:
         raise ValueError(f"name: expected a C identifier, got {name!r}")
-    sizes = checked_distance(network, np.zeros(network.joint_count) if lengths is None else lengths)
+    sizes = checked_distance(
+        network,
+        np.zeros(network.joint_count) if presliding_distance is None else presliding_distance,
+    )
     functions = c_functions(network, values, sizes)
     return CCode(
         name,

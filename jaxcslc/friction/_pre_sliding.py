@@ -92,13 +92,15 @@ def checked_distance(network: CSLC, presliding_distance: Any) -> Float[np.ndarra
     """
     joints, values = network.joint_count, np.asarray(presliding_distance, float)
     if values.shape != (joints,) or not np.all(np.isfinite(values) & (values >= 0.0)):
-        raise ValueError(f"lengths: expected {joints} finite numbers from 0 up")
+        raise ValueError(f"presliding_distance: expected {joints} finite numbers from 0 up")
     without = {*np.flatnonzero(values).tolist()}
     if without:
         without -= {*dry_term(network).joints}
     if without:
         label = network.output_names[min(without)]
-        raise ValueError(f"lengths: {label} has no friction of kind 'dry', which they are of")
+        raise ValueError(
+            f"presliding_distance: {label} has no friction of kind 'dry', which they are of"
+        )
     return values
 
 

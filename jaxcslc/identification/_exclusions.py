@@ -90,7 +90,7 @@ FEATURES: Mapping[str, Callable[[Request], bool]] = {
     "prior of the likelihood": lambda r: r.likelihood_options.prior is not None,
     "bodies of the likelihood": lambda r: r.likelihood_options.possible,
     "elastic gears": lambda r: bool(r.likelihood_options.transmission),
-    "lengths": lambda r: bool(r.likelihood_options.lengths),
+    "distances": lambda r: bool(r.likelihood_options.presliding_distance),
     "horizon": lambda r: r.horizon,
     "known masses": lambda r: any(inertia.has_known for inertia in r.network.robot.inertia),
     "dry friction": lambda r: any("dry" in kinds for kinds in r.network.friction_per_joint),
@@ -185,7 +185,7 @@ EXCLUSIONS = (
         for feature, why in (
             (SEVERAL, "several recordings are fitted together"),
             (f"unsupported {PRE_SLIDING}", "it is not for the estimator {r.estimator!r}"),
-            ("lengths", "its lengths are given"),
+            ("distances", "its distances are given"),
             ("elastic gears", "it is not for gears that give way"),
             ("prior", "coefficients are known beforehand"),
             ("prior of the likelihood", "coefficients are known beforehand"),

@@ -117,7 +117,8 @@ def choose_friction_terms(request: Request, step: Callable[[str], None]) -> Chos
         terms = terms.with_pre_sliding(tried)
         if tried.joint_names:
             options = dataclasses.replace(
-                request.likelihood_options, lengths=tuple(tried.presliding_distance.tolist())
+                request.likelihood_options,
+                presliding_distance=tuple(tried.presliding_distance.tolist()),
             )
             request = dataclasses.replace(request, likelihood=options)
     if request.estimator == "maximum-likelihood":

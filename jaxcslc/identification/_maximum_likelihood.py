@@ -104,7 +104,9 @@ class Likelihood(AbstractEstimator):
 
     def judged(self, problem: Problem) -> Judged:
         """Judge least squares and maximum likelihood on the same motion; keep one of them."""
-        base = with_states(Regression().judged(problem), problem.request.likelihood_options.lengths)
+        base = with_states(
+            Regression().judged(problem), problem.request.likelihood_options.presliding_distance
+        )
         try:
             return self._compared(base)
         except (ValueError, RuntimeError) as error:
@@ -199,7 +201,7 @@ def _fit_of(problem: Problem, likelihood: LikelihoodFit) -> Fit:
     return Fit(
         likelihood.network,
         likelihood.fit,
-        likelihood.lengths,
+        likelihood.presliding_distance,
         likelihood,
         tuple(warnings),
         tuple(notes),

@@ -19,7 +19,7 @@ from ._comparison import (
     Estimator as Estimator,
     EstimatorComparison as EstimatorComparison,
     estimator_text as estimator_text,
-    lengths_line as lengths_line,
+    presliding_line as presliding_line,
 )
 from ._elastic_equations import ElasticEquations as ElasticEquations
 from ._equations import MotionEquations as MotionEquations

@@ -73,7 +73,9 @@ class EstimatorComparison:
             "transmission": (
                 None if likelihood.transmission is None else likelihood.transmission.document()
             ),
-            "lengths": likelihood.lengths.tolist() if likelihood.lengths.any() else None,
+            "lengths": likelihood.presliding_distance.tolist()
+            if likelihood.presliding_distance.any()
+            else None,
             "steps": self.likelihood.steps,
             "converged": self.likelihood.converged,
         }
@@ -104,27 +106,29 @@ def estimator_text(document: Mapping[str, Any], units: Sequence[str]) -> str:
         f" of least squares; the coefficients are those of {document['used']}"
     )
     if document["lengths"] is not None:
-        lines.append(f"    {lengths_line(document['lengths'], units)}")
+        lines.append(f"    {presliding_line(document['lengths'], units)}")
     lines += [f"    {line}" for line in transmission_lines(document["transmission"])]
     if document["spacing"] is not None:
         lines += [f"    {line}" for line in document["spacing"]["lines"]]
     return "\n".join(lines)
 
 
-def lengths_line(lengths: Sequence[float], units: Sequence[str]) -> str:
+def presliding_line(presliding_distance: Sequence[float], units: Sequence[str]) -> str:
     """Say over which distances friction of both estimators yields before it slides.
 
     **Arguments**
 
-    - `lengths`: (n,) of pre-sliding [rad or m]; 0 of joints without.
+    - `presliding_distance`: (n,) [rad or m]; 0 of joints without.
     - `units`: of each joint's torque.
 
-    >>> lengths_line([0.04, 0.0], ["N m", "N m"])
+    >>> presliding_line([0.04, 0.0], ["N m", "N m"])
     'dry friction of both yields before it slides: joint 1 over 0.04 rad'
     """
     joints = ", ".join(
         f"joint {number} over {length:.3g} {'m' if unit == 'N' else 'rad'}"
-        for number, (length, unit) in enumerate(zip(lengths, units, strict=True), start=1)
+        for number, (length, unit) in enumerate(
+            zip(presliding_distance, units, strict=True), start=1
+        )
         if length > 0.0
     )
     return f"dry friction of both yields before it slides: {joints}"

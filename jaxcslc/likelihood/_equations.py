@@ -91,7 +91,7 @@ class AbstractEquations(abc.ABC):
         return np.zeros((len(q) - 2, q.shape[1]))
 
     @property
-    def lengths(self) -> Joints:
+    def presliding_distance(self) -> Joints:
         """(n,) of pre-sliding [rad or m]; 0 where dry friction follows the sign of velocity."""
         return np.zeros(self.network.joint_count)
 

@@ -56,8 +56,8 @@ class LikelihoodFit(eqx.Module):
     - `systematic`: what a wrong time of torques, and terms that the network lacks, may do to `fit`
       beyond its standard errors, by cause (`uncertainty_interval(fit, systematic)`); None with
       `errors="independent"` and with `transmission`.
-    - `lengths`: (n,) of pre-sliding [rad or m], as `MaximumLikelihood.lengths` set them: dry
-      friction of these joints is for motion that slides. Standard errors are for known lengths.
+    - `presliding_distance`: (n,) [rad or m], as that of `MaximumLikelihood`: dry friction of these
+      joints is for motion that slides. Standard errors are for known distances.
     - `spacing`: why positions are as far apart as they are, where `every` was `"auto"`; None
       otherwise.
 
@@ -83,7 +83,7 @@ class LikelihoodFit(eqx.Module):
     position_noise: Float[np.ndarray, "recordings joints"]
     edge: Float[np.ndarray, "recordings joints"]
     reversal_moments: Float[np.ndarray, "samples joints"]
-    lengths: Float[np.ndarray, " joints"]
+    presliding_distance: Float[np.ndarray, " joints"]
     reversals: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     converged: bool = eqx.field(static=True)
@@ -229,7 +229,7 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
         position_noise=minimum.position_noise,
         edge=np.zeros_like(point.offset) if intervals is None else intervals.edges(part),
         reversal_moments=minimum.objective.motion.signs.moments(point.turn, len(point.q)),
-        lengths=minimum.objective.motion.equations.lengths,
+        presliding_distance=minimum.objective.motion.equations.presliding_distance,
         reversals=len(minimum.objective.motion.signs.samples),
         steps=minimum.steps,
         converged=minimum.converged,

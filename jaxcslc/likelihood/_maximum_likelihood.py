@@ -102,11 +102,13 @@ class MaximumLikelihood:
       `possible`, of links, too.
     - `possible`: whether coefficients are those of possible bodies, near to the robot's where the
       recording says nothing (`physical_parameters`), with positions that belong to them.
-    - `lengths`: (n,) of dry friction that yields before it slides [rad or m], such as those of
-      `fit_pre_sliding`; 0 where it follows the sign of velocity; of no joint if there are none.
+    - `presliding_distance`: (n,) over which dry friction yields before it slides [rad or m], such
+      as that of `fit_pre_sliding`; 0 where it follows the sign of velocity; of no joint if there
+      are none.
 
     **Raises** `ValueError`: a `torque_sampling`, `errors` or `every` that is none of these, bounds
-    in a prior, links without `possible`, or a transmission with `possible` or `lengths`.
+    in a prior, links without `possible`, or a transmission with `possible` or
+    `presliding_distance`.
 
     >>> import numpy as np, jaxcslc as jc
     >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -128,7 +130,7 @@ class MaximumLikelihood:
     transmission: tuple[int, ...] = ()
     prior: Prior | None = None
     possible: bool = False
-    lengths: tuple[float, ...] = ()
+    presliding_distance: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if self.torque_sampling not in get_args(TorqueSampling):
@@ -139,7 +141,10 @@ class MaximumLikelihood:
             raise ValueError(f"errors: expected {' or '.join(ERRORS)}, got {self.errors!r}")
         if self.every != "auto" and self.every < 1:
             raise ValueError(f"every: expected 1 or more or 'auto', got {self.every}")
-        for name, excluded in (("possible", self.possible), ("lengths", any(self.lengths))):
+        for name, excluded in (
+            ("possible", self.possible),
+            ("presliding_distance", any(self.presliding_distance)),
+        ):
             if self.transmission and excluded:
                 raise ValueError(f"transmission: not with {name}")
         check_prior(self.prior, possible=self.possible)
@@ -168,7 +173,7 @@ class MaximumLikelihood:
         **Raises**
 
         - `ValueError`: recording and network differ in joints, the recording is too short, the
-          network has a payload or is too large, lengths not n or of joints without dry friction.
+          network has a payload or is too large, distances not n or of joints without dry friction.
         - `RuntimeError`: the regression that it starts from fails, or no bodies are possible.
         - `ImportError`: with `possible`, without the conic solver (the extra `inertia`).
         """
@@ -340,7 +345,7 @@ class MaximumLikelihood:
             start,
             self.prior,
             every,
-            self.lengths,
+            self.presliding_distance,
         )
 
 

@@ -54,7 +54,7 @@ class PreSlidingEquations(AbstractEquations):
     def of(
         cls,
         base: MotionEquations,
-        lengths: Joints,
+        presliding_distance: Joints,
         q: Samples,
         time: Float[np.ndarray, " samples"],
         part: Int[np.ndarray, " samples"],
@@ -63,7 +63,7 @@ class PreSlidingEquations(AbstractEquations):
 
         **Arguments**
 
-        - `lengths`: (n,) of pre-sliding [rad or m]; 0 where friction follows the sign of velocity.
+        - `presliding_distance`: (n,) [rad or m]; 0 where friction follows the sign of velocity.
         - `q`: (samples, n) [rad or m]; `time`: of the samples [s].
         - `part`: number of the recording of each; contacts start without strain in every one.
         """
@@ -71,9 +71,9 @@ class PreSlidingEquations(AbstractEquations):
         for number in range(int(part[-1]) + 1):
             samples = np.flatnonzero(part == number)
             rows = slice(int(samples[0]), int(samples[-1]) - 1)
-            means = mean_states(q[samples], time[samples], lengths)
+            means = mean_states(q[samples], time[samples], presliding_distance)
             state[rows], unknown[rows] = means
-        return cls(base, lengths, state, unknown)
+        return cls(base, presliding_distance, state, unknown)
 
     @property
     def network(self) -> CSLC:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -86,7 +86,7 @@ class PreSlidingEquations(AbstractEquations):
         return self.base.intervals
 
     @property
-    def lengths(self) -> Joints:
+    def presliding_distance(self) -> Joints:
         """`distances`."""
         return self.distances
 
@@ -158,7 +158,7 @@ class PreSlidingEquations(AbstractEquations):
 
 
 def mean_states(
-    q: Samples, time: Float[np.ndarray, " samples"], lengths: Joints
+    q: Samples, time: Float[np.ndarray, " samples"], presliding_distance: Joints
 ) -> Float[np.ndarray, "2 equations joints"]:
     """Return states of contacts averaged with a triangle about each sample but the ends, and the
     part of them that is the first state's.
@@ -169,7 +169,7 @@ def mean_states(
     **Arguments**
 
     - `q`: (samples, n) [rad or m]; `time`: [s].
-    - `lengths`: (n,) [rad or m]; where they are 0, the mean is 0, too.
+    - `presliding_distance`: (n,) [rad or m]; where they are 0, the mean is 0, too.
     """
     h = np.diff(time)[:, None]
     slope = np.diff(q, axis=0) / h
@@ -181,10 +181,10 @@ def mean_states(
     cubic = start + x**2 * (3.0 - 2.0 * x) * (end - start)
     cubic = cubic + x * (1.0 - x) ** 2 * first - x**2 * (1.0 - x) * second
     path = np.concatenate([cubic.reshape(-1, q.shape[1]), q[-1:]])
-    length = np.where(lengths > 0.0, lengths, np.inf)
-    state = np.asarray(contact_states(path, length, np.zeros(len(lengths))))
+    length = np.where(presliding_distance > 0.0, presliding_distance, np.inf)
+    state = np.asarray(contact_states(path, length, np.zeros(len(presliding_distance))))
     moved = np.cumsum(np.abs(np.diff(path, axis=0, prepend=path[:1])), axis=0)
-    first = np.where(lengths > 0.0, np.exp(-moved / length), 0.0)
+    first = np.where(presliding_distance > 0.0, np.exp(-moved / length), 0.0)
     return np.stack([_mean(state, h), _mean(np.where(first < _FORGOTTEN, 0.0, first), h)])
 
 

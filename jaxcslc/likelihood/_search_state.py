@@ -246,7 +246,7 @@ def _with_sticking(
     signs = motion.signs
     friction = motion.residuals(point)[:, :n] + signs.direction * breakaway
     mask = sticking_equations(problem.at_rest, friction, breakaway) & (
-        problem.equations.lengths == 0.0
+        problem.equations.presliding_distance == 0.0
     )
     mask &= ~problem.readings.joined[:, None]
     if not mask.any():

@@ -51,7 +51,7 @@ def starting_point(
     start: Identification | None,
     prior: Prior | None = None,
     every: int = 1,
-    lengths: tuple[float, ...] = (),
+    presliding_distance: tuple[float, ...] = (),
 ) -> tuple[LikelihoodProblem, SearchStart]:
     """Return the problem of recordings, and where its search starts: regression on smoothed motion.
 
@@ -100,8 +100,8 @@ def starting_point(
     torque_noise = np.sqrt(np.mean(np.square(residual), axis=0))
     scale = np.where(fixed, 0.0, _scale(network, patterns.values(), torque_noise))
     equations = MotionEquations(network, np.diff(readings.time))
-    if any(lengths):
-        checked = checked_distance(network, lengths)
+    if any(presliding_distance):
+        checked = checked_distance(network, presliding_distance)
         equations = PreSlidingEquations.of(equations, checked, q, readings.time, readings.part)
     offset = np.zeros(position_noise.shape)
     point = Point.of({"k": k, "slopes": slopes, "offset": offset}, q, np.zeros(0))

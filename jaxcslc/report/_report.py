@@ -373,8 +373,8 @@ class Report(AbstractReport[CSLC]):
     kinds: ClassVar[tuple[type[AbstractSection], ...]] = SECTIONS
 
     @property
-    def lengths(self) -> Float[np.ndarray, " joints"]:
-        """(n,) lengths of pre-sliding that the coefficients go with [rad or m]; 0 where their dry
+    def presliding_distance(self) -> Float[np.ndarray, " joints"]:
+        """(n,) distances of pre-sliding that the coefficients go with [rad or m]; 0 where their dry
         friction follows the sign of velocity."""
         section = self.section("estimators")
         data = {} if section is None else section.data["estimators"]
@@ -399,10 +399,10 @@ class Report(AbstractReport[CSLC]):
 
         - `recording`: a name in `patterns`.
 
-        **Returns** `network`; where `lengths` are not 0, dry friction has its states along the
-        positions of these patterns, so that it is for all of them at a time.
+        **Returns** `network`; where `presliding_distance` is not 0, dry friction has its states
+        along the positions of these patterns, so that it is for all of them at a time.
         """
-        return along_motion(self.network, self.patterns[recording], self.lengths)
+        return along_motion(self.network, self.patterns[recording], self.presliding_distance)
 
     def derived_network(self) -> CSLC:
         """Return the network of the robot that the files describe."""

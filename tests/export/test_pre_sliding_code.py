@@ -50,9 +50,9 @@ def motion() -> Motion:
     return q, qd, qdd
 
 
-def along(call: Any, motion: Motion, lengths: np.ndarray, size: int, name: str) -> np.ndarray:
+def along(call: Any, motion: Motion, distance: np.ndarray, size: int, name: str) -> np.ndarray:
     """A function of the C code at every sample, states updated from sample to sample."""
-    n = len(lengths)
+    n = len(distance)
     w, rows, before = np.zeros(n), [], motion[0][0]
     for q, qd, qdd in zip(*motion, strict=True):
         w = call("pre_sliding", q - before, w, size=n)
@@ -61,16 +61,16 @@ def along(call: Any, motion: Motion, lengths: np.ndarray, size: int, name: str) 
     return np.array(rows)
 
 
-@pytest.mark.parametrize("lengths", [[0.02, 0.005, 0.3], [0.02, 0.0, 0.1]])
+@pytest.mark.parametrize("distance", [[0.02, 0.005, 0.3], [0.02, 0.0, 0.1]])
 def test_torque_along_a_recorded_motion(
-    lengths: list[float],
+    distance: list[float],
     network: jc.CSLC,
     motion: Motion,
     compiled: Compiled,
     rng: np.random.Generator,
 ) -> None:
     """That of the fit, whose columns have the same states, to rounding."""
-    k, size = rng.normal(size=network.size), np.array(lengths)
+    k, size = rng.normal(size=network.size), np.array(distance)
     time, pairs = 0.01 * np.arange(len(motion[0])), np.ones(motion[0].shape, bool)
     patterns = jc.Patterns(time, *motion, motion[0], pairs, pairs)
     fit = jc.LeastSquares(errors="independent").fit(network, patterns)
@@ -78,7 +78,7 @@ def test_torque_along_a_recorded_motion(
         network, eqx.tree_at(lambda fit: fit.k, fit, jnp.asarray(k)), size, {}, size
     )
     expected = np.asarray(result.torque(*motion)[0])
-    call = compiled(jc.c_code(network, k, lengths=size))
+    call = compiled(jc.c_code(network, k, presliding_distance=size))
     torque = along(call, motion, size, 3, "torque")
     assert_allclose(torque, expected, rtol=_ROUNDING, atol=_ROUNDING * np.max(np.abs(expected)))
     # Torque is the regressor times the coefficients here, too.
@@ -89,8 +89,8 @@ def test_torque_along_a_recorded_motion(
 
 def test_states_after_a_reversal_and_a_rest(network: jc.CSLC, compiled: Compiled) -> None:
     """The closed form: 1 - exp(-x / length) from rest, its mirror image, and no change at rest."""
-    lengths = np.array([0.1, 0.2, 0.0])
-    call = compiled(jc.c_code(network, np.ones(network.size), lengths=lengths))
+    distance = np.array([0.1, 0.2, 0.0])
+    call = compiled(jc.c_code(network, np.ones(network.size), presliding_distance=distance))
 
     def after(dq: list[float], w: np.ndarray) -> np.ndarray:
         return call("pre_sliding", np.array(dq), w, size=3)
@@ -106,8 +106,8 @@ def test_states_after_a_reversal_and_a_rest(network: jc.CSLC, compiled: Compiled
 
 def test_one_interval_is_as_good_as_many(network: jc.CSLC, compiled: Compiled) -> None:
     """Exact for a constant velocity, whatever the interval."""
-    lengths = np.array([0.1, 0.2, 0.3])
-    call = compiled(jc.c_code(network, np.ones(network.size), lengths=lengths))
+    distance = np.array([0.1, 0.2, 0.3])
+    call = compiled(jc.c_code(network, np.ones(network.size), presliding_distance=distance))
     w = start = np.array([0.4, -0.9, 0.1])
     velocity, interval = np.array([0.3, -2.0, 1.0]), 0.05
     for _ in range(100):
@@ -116,33 +116,35 @@ def test_one_interval_is_as_good_as_many(network: jc.CSLC, compiled: Compiled) -
     assert_allclose(w, whole, rtol=1e-13)
 
 
-def test_code_without_lengths_is_what_it_was(network: jc.CSLC) -> None:
+def test_code_without_pre_sliding_is_what_it_was(network: jc.CSLC) -> None:
     k = np.ones(network.size)
     code = jc.c_code(network, k)
-    assert code == jc.c_code(network, k, lengths=np.zeros(3))
+    assert code == jc.c_code(network, k, presliding_distance=np.zeros(3))
     assert "pre_sliding" not in code.header and "w[" not in code.source
-    with_states = jc.c_code(network, k, lengths=np.array([0.02, 0.0, 0.0]))
+    with_states = jc.c_code(network, k, presliding_distance=np.array([0.02, 0.0, 0.0]))
     assert "over a length of the path: joint 1 0.02 rad." in with_states.header
     functions = ("mass_matrix", "gravity")
     for text in (code.source, with_states.source):
         assert all(f"void arm_{name}(const double q[3], double" in text for name in functions)
 
 
-@pytest.mark.parametrize("lengths", [[0.1], [0.1, -0.1, 0.0], [0.1, np.nan, 0.0]])
-def test_lengths_of_no_contact(lengths: list[float], network: jc.CSLC) -> None:
-    with pytest.raises(ValueError, match="lengths: expected 3 finite numbers from 0 up"):
-        jc.c_code(network, np.ones(network.size), lengths=np.array(lengths))
+@pytest.mark.parametrize("distance", [[0.1], [0.1, -0.1, 0.0], [0.1, np.nan, 0.0]])
+def test_distances_of_no_contact(distance: list[float], network: jc.CSLC) -> None:
+    with pytest.raises(
+        ValueError, match="presliding_distance: expected 3 finite numbers from 0 up"
+    ):
+        jc.c_code(network, np.ones(network.size), presliding_distance=np.array(distance))
 
 
 def test_a_length_whose_reciprocal_overflows(network: jc.CSLC) -> None:
     with pytest.raises(ValueError, match="pre_sliding: a constant overflows; expected"):
-        jc.c_code(network, np.ones(network.size), lengths=np.array([0.1, 1e-310, 0.0]))
+        jc.c_code(network, np.ones(network.size), presliding_distance=np.array([0.1, 1e-310, 0.0]))
 
 
 def test_a_displacement_that_is_no_number(network: jc.CSLC, compiled: Compiled) -> None:
     """Its state is none from then on, and neither is torque; those of other joints are."""
-    lengths, still = np.array([0.1, 0.2, 0.3]), np.zeros(3)
-    call = compiled(jc.c_code(network, np.ones(network.size), lengths=lengths))
+    distance, still = np.array([0.1, 0.2, 0.3]), np.zeros(3)
+    call = compiled(jc.c_code(network, np.ones(network.size), presliding_distance=distance))
     w = call("pre_sliding", np.array([0.1, np.nan, np.inf]), still, size=3)
     w = call("pre_sliding", np.full(3, 0.01), w, size=3)
     assert np.isfinite(w).tolist() == [True, False, True] and w[2] == 1.0
@@ -153,8 +155,10 @@ def test_a_displacement_that_is_no_number(network: jc.CSLC, compiled: Compiled) 
 def test_joints_without_dry_friction(network: jc.CSLC) -> None:
     robot = network.robot.with_friction("viscous", joint=2)
     some = jc.derive(robot, lengths="numeric")
-    with pytest.raises(ValueError, match="lengths: joint 2 has no friction of kind 'dry'"):
-        jc.c_code(some, np.ones(some.size), lengths=np.array([0.1, 0.1, 0.0]))
+    with pytest.raises(
+        ValueError, match="presliding_distance: joint 2 has no friction of kind 'dry'"
+    ):
+        jc.c_code(some, np.ones(some.size), presliding_distance=np.array([0.1, 0.1, 0.0]))
 
 
 def test_the_example_of_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -202,21 +206,23 @@ def test_code_of_a_saved_identification_by_maximum_likelihood(
     q = 0.3 * np.sin(2 * t) + 0.1 * np.sin(7 * t)
     qd = 0.6 * np.cos(2 * t) + 0.7 * np.cos(7 * t)
     qdd = -1.2 * np.sin(2 * t) - 4.9 * np.sin(7 * t)
-    lengths = np.array([0.02])
-    torque = 0.5 * qdd + 0.2 * qd + 0.4 * np.asarray(contact_states(q, lengths, np.zeros(1)))
+    distance = np.array([0.02])
+    torque = 0.5 * qdd + 0.2 * qd + 0.4 * np.asarray(contact_states(q, distance, np.zeros(1)))
     report = jc.identify(
         network,
         jc.Recording(t[:, 0], q, torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)),
         settings=jc.Settings(),
         estimator="maximum-likelihood",
-        likelihood=jc.MaximumLikelihood(every=1, lengths=(0.02,)),
+        likelihood=jc.MaximumLikelihood(every=1, presliding_distance=(0.02,)),
         possible="never",
         systematic=False,
     )
     report.save(tmp_path, pictures=False)
     states = jc.load_report(tmp_path, robot).pre_sliding
     assert states is not None
-    call = compiled(jc.c_code(states.network, states.fit.k, lengths=states.presliding_distance))
+    call = compiled(
+        jc.c_code(states.network, states.fit.k, presliding_distance=states.presliding_distance)
+    )
     motion = report.patterns["training"]
     recorded = (np.asarray(motion.q), np.asarray(motion.qd), np.asarray(motion.qdd))
     expected = np.asarray(report.network_along("training").torque(report.k, *recorded))

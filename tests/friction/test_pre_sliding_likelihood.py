@@ -91,13 +91,13 @@ def comparison_of(report: jc.Report) -> EstimatorComparison:
 
 
 class TestFit:
-    def test_it_is_that_of_the_estimator_with_the_lengths_of_the_report(
+    def test_it_is_that_of_the_estimator_with_the_distances_of_the_report(
         self, report: jc.Report, recordings: tuple[jc.Recording, jc.Recording]
     ) -> None:
-        assert_allclose(report.lengths, [LENGTH], rtol=0.1)
+        assert_allclose(report.presliding_distance, [LENGTH], rtol=0.1)
         estimator = dataclasses.replace(
             OPTIONS,
-            lengths=tuple(report.lengths.tolist()),
+            presliding_distance=tuple(report.presliding_distance.tolist()),
             torque_sampling="sampled",
             settings=report.settings,
         )
@@ -117,18 +117,20 @@ class TestFit:
     def test_a_joint_that_yields_has_no_static_friction_beside(self, report: jc.Report) -> None:
         assert "static" not in report.network.robot.friction_terms
 
-    def test_lengths_that_are_given_are_kept(
+    def test_distances_that_are_given_are_kept(
         self, report: jc.Report, recordings: tuple[jc.Recording, jc.Recording]
     ) -> None:
         """Without a choice of friction, and with one, which then does not try them."""
-        options = dataclasses.replace(OPTIONS, lengths=tuple(report.lengths.tolist()))
+        options = dataclasses.replace(
+            OPTIONS, presliding_distance=tuple(report.presliding_distance.tolist())
+        )
         for friction in (False, True):
             result = identified(*recordings, likelihood=options, friction=friction)
-            assert result.lengths.tolist() == report.lengths.tolist()
+            assert result.presliding_distance.tolist() == report.presliding_distance.tolist()
             assert result.pre_sliding is not None
             text = str(result)
             assert "pre-sliding of joint 1: a state along the motion" in text
-            assert ("pre-sliding was not tried: its lengths are given" in text) == friction
+            assert ("pre-sliding was not tried: its distances are given" in text) == friction
 
 
 class TestComparison:
@@ -152,9 +154,9 @@ class TestComparison:
     def test_a_state_does_not_depend_on_where_motion_is_cut(self, report: jc.Report) -> None:
         patterns = report.patterns["training"]
         q = np.asarray(patterns.q)
-        whole = np.asarray(contact_states(q, report.lengths, np.zeros(1)))
-        start = state_at(patterns, report.lengths, 700)
-        after = np.asarray(contact_states(q[700:], report.lengths, start))
+        whole = np.asarray(contact_states(q, report.presliding_distance, np.zeros(1)))
+        start = state_at(patterns, report.presliding_distance, 700)
+        after = np.asarray(contact_states(q[700:], report.presliding_distance, start))
         assert_allclose(after, whole[700:], atol=_ROUNDING)
 
     def test_least_squares_that_are_as_good_with_states_are_kept(
@@ -164,10 +166,12 @@ class TestComparison:
         their own, as without another estimator."""
         report = identified(*recordings, estimator="auto")
         comparison = comparison_of(report)
-        assert comparison.likelihood.lengths.any()
-        assert comparison.used == "least-squares" and not report.lengths.any()
+        assert comparison.likelihood.presliding_distance.any()
+        assert comparison.used == "least-squares" and not report.presliding_distance.any()
         assert report.pre_sliding is not None
-        assert_allclose(report.pre_sliding.presliding_distance, comparison.likelihood.lengths)
+        assert_allclose(
+            report.pre_sliding.presliding_distance, comparison.likelihood.presliding_distance
+        )
         step = report.errors["training"].rms_all_samples[0]
         motion = report.patterns["training"]
         torque, _ = report.pre_sliding.torque(motion.q, motion.qd, motion.qdd)
@@ -196,7 +200,7 @@ class TestReport:
             {"fit": np.asarray(report.k)},
             recordings[1],
             report.settings,
-            presliding_distance={"fit": report.lengths},
+            presliding_distance={"fit": report.presliding_distance},
         )
         assert_allclose(report.horizon.error["fit"], expected.error["fit"])
 
@@ -204,8 +208,8 @@ class TestReport:
         report.save(tmp_path, pictures=False)
         document = json.loads((tmp_path / "identification.json").read_text("utf-8"))
         assert document["pre_sliding"]["fit"]["k"] == document["k"]
-        assert document["pre_sliding"]["lengths"] == report.lengths.tolist()
-        assert document["estimators"]["lengths"] == report.lengths.tolist()
+        assert document["pre_sliding"]["lengths"] == report.presliding_distance.tolist()
+        assert document["estimators"]["lengths"] == report.presliding_distance.tolist()
         page = (tmp_path / "index.html").read_text("utf-8")
         assert "Dry friction of both yields before it slides: joint 1 over" in page
         rows = np.genfromtxt(tmp_path / "torque_training.csv", delimiter=",", names=True)
@@ -223,7 +227,7 @@ class TestFrictionThatDoesNotYield:
         """The fit is the one that the chosen terms have without a choice."""
         recording = swing(jc.derive(pendulum(), lengths="numeric"), 3, yields=False)
         report = identified(recording)
-        assert report.pre_sliding is None and not report.lengths.any()
+        assert report.pre_sliding is None and not report.presliding_distance.any()
         assert report.friction is not None
         assert not any(trial.used for trial in report.friction.trials)
         assert report.network_along("training") is report.network

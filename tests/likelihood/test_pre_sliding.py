@@ -88,16 +88,16 @@ class TestStates:
         network = jc.derive(robot.with_friction("viscous", "dry"), lengths="numeric")
         time = 0.01 * np.arange(40)
         q = np.stack([0.2 * np.sin(5.0 * time), 0.3 * np.sin(3.0 * time)], axis=1)
-        base, lengths = MotionEquations(network, np.diff(time)), np.array([0.05, 0.0])
+        base, distance = MotionEquations(network, np.diff(time)), np.array([0.05, 0.0])
         part = np.zeros(40, int)
-        equations = PreSlidingEquations.of(base, lengths, q, time, part)
+        equations = PreSlidingEquations.of(base, distance, q, time, part)
         k = np.arange(1.0, network.size + 1.0)
         signs = np.sign(np.diff(q, axis=0)[1:])
         motion = np.zeros(2), q, -np.ones(signs.shape), signs
         torque, plain = equations.torque(k, *motion), base.torque(k, *motion)
         index = network.names.index("kd1")
         step = base.linearised(k, *motion).by_coefficient.dense[:, 0, index]
-        state, _ = mean_states(q, time, lengths)
+        state, _ = mean_states(q, time, distance)
         assert_allclose(torque[:, 0], plain[:, 0] + k[index] * (state[:, 0] - step), atol=1e-12)
         assert_allclose(torque[:, 1], plain[:, 1], atol=1e-12)
         derivatives = equations.linearised(k, *motion)
@@ -122,15 +122,15 @@ class TestFits:
     def test_they_are_nearer_than_regression_and_than_without_states(
         self, recording: tuple[float, jc.Recording]
     ) -> None:
-        """With lengths of the regression, as with the true ones; intervals hold the truth."""
+        """With distances of the regression, as with the true ones; intervals hold the truth."""
         length, motion = recording
         network = arms.pendulum("viscous", "dry")
         true = np.array([TRUE[name] for name in network.names])
         settings = jc.Settings(jc.Preparation(jc.Butterworth(20.0), threshold_fraction=0.0))
         regression = fit_pre_sliding(network, settings.patterns(motion))
         fits = [
-            jc.MaximumLikelihood(lengths=lengths, every=1).fit(network, motion)
-            for lengths in ((length,), tuple(regression.presliding_distance.tolist()), ())
+            jc.MaximumLikelihood(presliding_distance=distance, every=1).fit(network, motion)
+            for distance in ((length,), tuple(regression.presliding_distance.tolist()), ())
         ]
         assert all(fit.converged for fit in fits)
         dry, inertia = network.names.index("kd1"), network.names.index("kB1")
@@ -146,33 +146,37 @@ class TestFits:
         assert np.all(exact < 3.5 * np.asarray(fits[0].fit.standard_error))
         # Beside counts of intervals that hold it, the level is a little too large.
         assert_allclose(fits[0].torque_noise, NOISE, rtol=0.25)
-        assert fits[0].lengths.tolist() == [length] and fits[2].lengths.tolist() == [0.0]
+        assert fits[0].presliding_distance.tolist() == [length] and fits[
+            2
+        ].presliding_distance.tolist() == [0.0]
 
     def test_a_step_of_friction_has_no_length(self) -> None:
         """Nothing changes where no joint has one."""
         network, motion = arms.pendulum("viscous", "dry"), swing(0.002, 6)
         fits = [
-            jc.MaximumLikelihood(lengths=lengths, every=1).fit(network, motion)
-            for lengths in ((), (0.0,))
+            jc.MaximumLikelihood(presliding_distance=distance, every=1).fit(network, motion)
+            for distance in ((), (0.0,))
         ]
         assert np.array_equal(np.asarray(fits[0].k), np.asarray(fits[1].k))
 
 
-@pytest.mark.parametrize("lengths", [(0.1, 0.1), (-0.1,), (np.inf,)])
-def test_lengths_of_no_contact(lengths: tuple[float, ...]) -> None:
+@pytest.mark.parametrize("distance", [(0.1, 0.1), (-0.1,), (np.inf,)])
+def test_distances_of_no_contact(distance: tuple[float, ...]) -> None:
     network, time = arms.pendulum("dry"), 0.01 * np.arange(40)
     motion = jc.Recording(time, np.sin(time)[:, None], np.cos(time)[:, None])
-    with pytest.raises(ValueError, match="lengths: expected 1 finite numbers from 0 up"):
-        jc.MaximumLikelihood(lengths=lengths).fit(network, motion)
+    with pytest.raises(
+        ValueError, match="presliding_distance: expected 1 finite numbers from 0 up"
+    ):
+        jc.MaximumLikelihood(presliding_distance=distance).fit(network, motion)
 
 
 def test_joints_without_dry_friction() -> None:
     network, time = arms.pendulum("viscous"), 0.01 * np.arange(40)
     motion = jc.Recording(time, np.sin(time)[:, None], np.cos(time)[:, None])
     with pytest.raises(ValueError, match="has no friction of kind 'dry'"):
-        jc.MaximumLikelihood(lengths=(0.1,)).fit(network, motion)
+        jc.MaximumLikelihood(presliding_distance=(0.1,)).fit(network, motion)
 
 
-def test_gears_that_give_way_are_not_combined_with_lengths() -> None:
-    with pytest.raises(ValueError, match="transmission: not with lengths"):
-        jc.MaximumLikelihood(transmission=(1,), lengths=(0.1,))
+def test_gears_that_give_way_are_not_combined_with_pre_sliding() -> None:
+    with pytest.raises(ValueError, match="transmission: not with presliding_distance"):
+        jc.MaximumLikelihood(transmission=(1,), presliding_distance=(0.1,))

@@ -154,7 +154,7 @@ def test_reports_are_read_back(report: jc.Report, tmp_path: Path) -> None:
     np.testing.assert_array_equal(saved.covariance, report.covariance)
     np.testing.assert_array_equal(saved.standard_errors, report.standard_errors)
     np.testing.assert_array_equal(saved.sample(5), report.sample(5))
-    np.testing.assert_array_equal(saved.lengths, report.lengths)
+    np.testing.assert_array_equal(saved.presliding_distance, report.presliding_distance)
     assert saved.network.robot == report.network.robot
     assert saved.network.names == report.network.names and saved.rows() == report.rows()
     assert saved[report.names[0]] == report.rows()[0]

@@ -11,7 +11,12 @@ from jaxtyping import Bool, Float
 
 from jaxcslc._plain_data import record_document, record_from
 from jaxcslc.instruments import HorizonError
-from jaxcslc.likelihood import EstimatorComparison, estimator_text, lengths_line, transmission_lines
+from jaxcslc.likelihood import (
+    EstimatorComparison,
+    estimator_text,
+    presliding_line,
+    transmission_lines,
+)
 from jaxcslc.recordings import Patterns
 from jaxcslc.uncertainty import HeldOut
 
@@ -303,8 +308,8 @@ class EstimatorSection(AbstractSection):
             )
         ended = "converged" if estimators["converged"] else "did not converge"
         text += f" Maximum likelihood {ended} after {estimators['steps']} steps."
-        if lengths := estimators.get("lengths"):
-            line = lengths_line(lengths, report.model.output_units)
+        if distance := estimators.get("lengths"):
+            line = presliding_line(distance, report.model.output_units)
             text += f" {line[0].upper()}{line[1:]}."
         if lines := transmission_lines(estimators.get("transmission")):
             text += f" Estimated along: {'; '.join(lines)}."

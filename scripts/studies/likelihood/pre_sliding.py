@@ -73,18 +73,18 @@ def rows_of(length: float, seed: int, samples: int) -> Iterator[dict[str, Any]]:
     }
     fit: Identification = regression.fit
     yield _row("regression with states", fit, True, identified, true, started, length, seed)
-    for name, lengths in fits.items():
+    for name, distance in fits.items():
         started = time.process_time()
-        options = jc.MaximumLikelihood(lengths=lengths, every=1)
+        options = jc.MaximumLikelihood(presliding_distance=distance, every=1)
         result = options.fit(network, recorded)
-        yield _row(name, result.fit, result.converged, lengths, true, started, length, seed)
+        yield _row(name, result.fit, result.converged, distance, true, started, length, seed)
 
 
 def _row(
     name: str,
     fit: Identification,
     converged: bool,
-    lengths: tuple[float, ...],
+    distance: tuple[float, ...],
     true: Float[np.ndarray, " coefficients"],
     started: float,
     length: float,
@@ -98,7 +98,7 @@ def _row(
         "error": torque_error(pendulum()[0], np.asarray(fit.k) - true),
         "inside": float(100 * np.mean((low <= true) & (true <= high))),
         "converged": bool(converged),
-        "used_length": lengths[0] if lengths else 0.0,
+        "used_length": distance[0] if distance else 0.0,
         "seconds": time.process_time() - started,
     }
 

@@ -102,7 +102,7 @@ def _row(
     states = report.pre_sliding
     fit = report.fit if states is None else states.fit
     true = np.array([expected.get(name, 0.0) for name in report.network.names])
-    systematic = report.systematic if states is None or report.lengths.any() else None
+    systematic = report.systematic if states is None or report.presliding_distance.any() else None
     interval = uncertainty_interval(fit, systematic)
     low, high = np.asarray(interval).T
     known = np.array([name in expected for name in report.network.names])

@@ -100,7 +100,7 @@ def test_report(network: jc.CSLC, recording: jc.Recording, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"transmission": (1,), "lengths": (0.01,)}, "not with lengths"),
+        ({"transmission": (1,), "presliding_distance": (0.01,)}, "not with presliding_distance"),
         ({"transmission": (1,), "possible": True}, "not with possible"),
     ],
 )
