@@ -1,5 +1,6 @@
 """Straight-line code: the same numbers as the loop over links, with fewer operations."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import jax
@@ -69,6 +70,14 @@ def test_right_angles_leave_few_operations(term: RigidBodyRecursion) -> None:
     assert code(term, "torque").cost < 130 * len(term.joints)
 
 
+@pytest.fixture
+def on_processor() -> Iterator[None]:
+    """Keep arrays on the processor, also where there is a GPU."""
+    with jax.default_device(jax.devices("cpu")[0]):
+        yield
+
+
+@pytest.mark.usefixtures("on_processor")
 @pytest.mark.parametrize("joints", [5, 20])
 def test_the_form_is_selected_by_joints_and_samples(joints: int) -> None:
     rows = [(0.0, 0.2, 0.0, 0.0)] * joints
@@ -83,6 +92,7 @@ def test_the_form_is_selected_by_joints_and_samples(joints: int) -> None:
     assert term.is_unrolled(few, many) == (joints == 5)
 
 
+@pytest.mark.usefixtures("on_processor")
 def test_the_way_is_that_of_the_platform_compiled_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """As on a machine with a GPU, whose processor computes all the same."""
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
