@@ -129,6 +129,12 @@ class MotionOptions:
             " if omitted.",
         ),
     ] = None
+    floor: Annotated[
+        bool,
+        typer.Option(
+            help="Keep above the plane through the base's foot, or the floor that --limits states.",
+        ),
+    ] = True
     torque_noise: Annotated[
         str | None,
         typer.Option(
@@ -206,7 +212,7 @@ def excite_command(
         names = None if options.wanted is None else names_in(options.wanted)
         if options.payload is not None:
             before, names = before.carrying(options.payload), names or ["payload"]
-        bounds = Limits.of(arm) if not options.limits else load_limits(options.limits, arm)
+        bounds = _bounds(arm, options)
         asked = "rate" in typed_options(context)
         rate = options.rate if asked else before.rate(options.rate)
         noise = _noise(before, bounds, _stated_noise(options) | {"rate": rate})
@@ -235,6 +241,12 @@ def excite_command(
         seconds = design.seconds_for(reach / 100)
         lines.append(f"{reach:g} % of all sizes: about {seconds:.3g} s of such motion")
     typer.echo("\n".join([*lines, "", wrote(paths)]))
+
+
+def _bounds(arm: Manipulator, options: MotionOptions) -> Limits:
+    stated = options.limits
+    bounds = load_limits(stated, arm) if stated else Limits.of(arm, surroundings="usual")
+    return bounds if options.floor else bounds.without_floor()
 
 
 def _check_options(context: CommandContext, options: MotionOptions) -> None:

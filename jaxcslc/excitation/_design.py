@@ -363,6 +363,7 @@ class Planner:
             tuple(network.names[i] for i in np.asarray(self.problem.wanted)),
             scale,
             notes,
+            () if self.bodies is None else self.bodies.notes,
         )
 
 

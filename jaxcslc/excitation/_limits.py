@@ -1,11 +1,12 @@
 """Limits of joints, and surroundings that bodies keep away from, as TOML files state them."""
 
 import dataclasses
+import importlib.util
 import math
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -32,22 +33,73 @@ class Surroundings:
 
     - `clearance`: the least distance of bodies from others and from obstacles [m].
     - `self_collision`: whether the robot's bodies keep away from each other.
-    - `floor`: the height of a floor in the base frame [m]; None without one.
+    - `floor`: the height of a floor in the frame of the file's root, or in frame 0 [m]. `"base"`
+      is the plane through the base's foot: where its shapes end, at height 0 without shapes. It is
+      a ceiling if the arm hangs from it. None is no floor.
     - `workspace`: corners (low, high) of a box in the base frame that no body leaves [m].
     - `boxes`: obstacles as (centre, full size), `spheres` as (centre, radius) [m].
-    - `radius`: of a capsule along each link [m], for robots whose file has no shapes; None for
-      those of the file.
+    - `radius`: of a capsule along each link [m]. With None, the file's shapes count, and only links
+      without any have capsules, of 5 % of the arm's length.
     - `ignore`: pairs of bodies' names that may touch.
+
+    >>> import jaxcslc as jc
+    >>> from jaxcslc.excitation import Surroundings
+    >>> Surroundings.of(jc.puma560()).floor, Surroundings.of(jc.panda(), {"floor": False}).floor
+    (-0.6718, None)
     """
 
     clearance: float = 0.02
     self_collision: bool = True
-    floor: float | None = None
+    floor: float | Literal["base"] | None = "base"
     workspace: tuple[tuple[float, ...], tuple[float, ...]] | None = None
     boxes: tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] = ()
     spheres: tuple[tuple[tuple[float, ...], float], ...] = ()
     radius: float | tuple[float, ...] | None = None
     ignore: tuple[tuple[str, str], ...] = ()
+
+    @classmethod
+    def of(cls, robot: Manipulator, stated: Mapping[str, Any] | None = None) -> "Surroundings":
+        """Return what is known of a robot's surroundings: those stated, else the defaults.
+
+        **Arguments**
+
+        - `robot`: `puma560` has a base of known height.
+        - `stated`: by name, as the attributes; `floor` is False for none.
+
+        **Raises**
+
+        - `ValueError`: an unknown entry, or values that are not lengths; names the entry.
+        """
+        table = _built_in(robot).get("surroundings", {}) | (stated or {})
+        names = {field.name for field in dataclasses.fields(cls)}
+        if unknown := sorted(table.keys() - names):
+            raise ValueError(
+                f"surroundings: unknown entry {unknown[0]!r}; expected {', '.join(sorted(names))}"
+            )
+        if table.get("floor") is False:
+            table["floor"] = None
+        for name in ("clearance", "floor", "radius"):
+            value = table.get(name)
+            values = np.atleast_1d(np.asarray(0.0 if value is None else value))
+            if name == "floor" and value == "base":
+                continue
+            if not np.issubdtype(values.dtype, np.number) or not np.isfinite(values).all():
+                raise ValueError(f"surroundings, {name}: expected numbers in m, got {value!r}")
+        for name, lengths in (("workspace", (3, 3)), ("boxes", (3, 3)), ("spheres", (3, 1))):
+            entries = table.get(name, [])
+            for entry in [entries] if name == "workspace" and entries else entries:
+                sizes = tuple(np.size(part) for part in entry) if isinstance(entry, list) else ()
+                if sizes != lengths:
+                    raise ValueError(
+                        f"surroundings, {name}: expected {lengths[0]} and {lengths[1]} numbers in"
+                        f" m, got {entry!r}"
+                    )
+        frozen = {name: _frozen(value) for name, value in table.items()}
+        if "spheres" in frozen:  # radii as numbers or as lists of one
+            frozen["spheres"] = tuple(
+                (centre, float(np.ravel(radius)[0])) for centre, radius in frozen["spheres"]
+            )
+        return cls(**frozen)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -109,7 +161,7 @@ class Limits:
         cls,
         robot: Manipulator,
         stated: Mapping[str, Any] | None = None,
-        surroundings: Surroundings | None = None,
+        surroundings: Surroundings | Literal["usual"] | None = None,
     ) -> "Limits":
         """Return the limits of a robot: those stated, else those of its file.
 
@@ -122,7 +174,8 @@ class Limits:
         - `stated`: by name, as the attributes and `"position"`, pairs of lowest and highest; one
           number (or pair) for all joints, or one each. `"position_margin"` is kept back of ranges
           at both ends, for errors of the controller [rad or m].
-        - `surroundings`: that are watched.
+        - `surroundings`: that are watched; `"usual"` for `Surroundings.of(robot)`. Without MuJoCo
+          and for lengths without values, the usual ones are None, and a note says why.
 
         **Raises**
 
@@ -133,9 +186,8 @@ class Limits:
         names = [robot.joint_names[i] for i in joints]
         n = len(names)
         free: list[str] = []
-        file = _ROBOTS / f"{''.join(robot.name.lower().split())}.toml"
-        if (robot.source is None or robot.source.format == "toml") and file.exists():
-            known = tomllib.loads(file.read_text(encoding="utf-8"))["joints"]
+        if built_in := _built_in(robot):
+            known = built_in["joints"]
         else:
             known, free = _of_file(robot)
         if stated and "position" in stated:
@@ -168,6 +220,10 @@ class Limits:
                 notes.append(f"{name}: not stated; the limit of {before} within {time:g} s")
         if not np.isfinite(values["torque"]).all():
             notes.append("torque: some joints have no limit")
+        if surroundings == "usual":
+            if reason := _unwatchable(robot):
+                notes.append(f"collisions: {reason}")
+            surroundings = None if reason else Surroundings.of(robot)
         return cls(
             position[:, 0],
             position[:, 1],
@@ -175,6 +231,14 @@ class Limits:
             torque_margin=float(_numbers("torque_margin", known.get("torque_margin", 0.1), 1)[0]),
             notes=tuple(notes),
             surroundings=surroundings,
+        )
+
+    def without_floor(self) -> "Limits":
+        """Return the limits without a floor."""
+        if self.surroundings is None:
+            return self
+        return dataclasses.replace(
+            self, surroundings=dataclasses.replace(self.surroundings, floor=None)
         )
 
     @property
@@ -204,8 +268,7 @@ def load_limits(path: str | Path, robot: Manipulator) -> Limits:
 
     Tables `[joints]` with `position`, `velocity`, `acceleration`, `jerk`, `torque`, `power`,
     `position_margin` and `torque_margin`, which replace those of the robot's file; and
-    `[surroundings]` with the attributes of `Surroundings`. Without the latter no collision is
-    looked for.
+    `[surroundings]` with entries as `Surroundings.of` takes them.
 
     **Raises**
 
@@ -229,43 +292,30 @@ def load_limits(path: str | Path, robot: Manipulator) -> Limits:
             raise ValueError(f"{path}, {name}: expected a table, got {table!r}")
     try:
         table = document.get("surroundings")
-        surroundings = None if table is None else _surroundings(table)
+        surroundings = "usual" if table is None else Surroundings.of(robot, table)
         return Limits.of(robot, document.get("joints"), surroundings)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _surroundings(table: Mapping[str, Any]) -> Surroundings:
-    names = {field.name for field in dataclasses.fields(Surroundings)}
-    if unknown := sorted(table.keys() - names):
-        raise ValueError(
-            f"surroundings: unknown entry {unknown[0]!r}; expected {', '.join(sorted(names))}"
-        )
-    for name in ("clearance", "floor", "radius"):
-        values = np.atleast_1d(np.asarray(table.get(name, 0.0)))
-        if not np.issubdtype(values.dtype, np.number) or not np.isfinite(values).all():
-            raise ValueError(f"surroundings, {name}: expected numbers in m, got {table[name]!r}")
-    for name, lengths in (("workspace", (3, 3)), ("boxes", (3, 3)), ("spheres", (3, 1))):
-        entries = table.get(name, [])
-        for entry in [entries] if name == "workspace" and entries else entries:
-            sizes = tuple(np.size(part) for part in entry) if isinstance(entry, list) else ()
-            if sizes != lengths:
-                raise ValueError(
-                    f"surroundings, {name}: expected {lengths[0]} and {lengths[1]} numbers in m,"
-                    f" got {entry!r}"
-                )
-    frozen = {name: _frozen(value) for name, value in table.items()}
-    if "spheres" in frozen:  # radii as numbers or as lists of one
-        frozen["spheres"] = tuple(
-            (centre, float(np.ravel(radius)[0])) for centre, radius in frozen["spheres"]
-        )
-    return Surroundings(**frozen)
+def _unwatchable(robot: Manipulator) -> str:
+    """Return why collisions of a robot cannot be looked for; empty if they can."""
+    if importlib.util.find_spec("mujoco") is None:
+        return "MuJoCo is not installed (pip install 'jaxcslc[urdf]')"
+    return "" if robot.has_all_lengths else f"lengths of {robot.name!r} have no values"
 
 
 def _frozen(value: Any) -> Any:
     if isinstance(value, list):
         return tuple(_frozen(part) for part in value)
     return float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+
+
+def _built_in(robot: Manipulator) -> dict[str, Any]:
+    """Return limits and surroundings of a built-in robot; empty for others."""
+    file = _ROBOTS / f"{''.join(robot.name.lower().split())}.toml"
+    from_table = robot.source is None or robot.source.format == "toml"
+    return tomllib.loads(file.read_text(encoding="utf-8")) if from_table and file.exists() else {}
 
 
 def _of_file(robot: Manipulator) -> tuple[dict[str, Any], list[str]]:

@@ -49,6 +49,7 @@ class Design:
     - `wanted`: names of the coefficients that it is for.
     - `scale`: by which the motion was shrunk at the end to keep all limits.
     - `notes`: sentences on assumptions.
+    - `collisions`: sentences on the collisions that were looked for; empty if none were.
     """
 
     network: CSLC
@@ -63,6 +64,7 @@ class Design:
     wanted: tuple[str, ...]
     scale: float
     notes: tuple[str, ...] = ()
+    collisions: tuple[str, ...] = ()
 
     def sampled(
         self, rate: float | None = None
@@ -109,9 +111,14 @@ class Design:
             )
         if self.undetermined:
             lines.append(f"not determined by this motion: {', '.join(self.undetermined)}")
-        return "\n".join([*lines, str(self.use), *(f"note: {note}" for note in self.notes)])
+        notes = (*(self.collisions or (_UNWATCHED,)), *self.notes)
+        return "\n".join([*lines, str(self.use), *(f"note: {note}" for note in notes)])
 
 
+_UNWATCHED = (
+    "collisions were not looked for, neither with a floor nor between the robot's bodies: the"
+    " limits have no surroundings"
+)
 _PAGE_RATE = 50.0  # of curves [Hz]
 _FILM_RATE, _FRAMES = 15.0, 400  # frames a second, and at most
 _TIP = 0.12  # of the last joint's axis that is drawn [m]
@@ -128,14 +135,19 @@ def design_page(design: Design, command: str = "") -> str:
         f"Motion for {design.network.name}",
         design.family.description,
         headline,
-        "good",
+        "good" if design.collisions else "caution",
         (
             *([Message(f"Not determined: {', '.join(left)}.", "caution")] if left else []),
-            *(Message(note, "plain") for note in design.notes),
+            *([] if design.collisions else [Message(_sentence(_UNWATCHED), "caution")]),
+            *(Message(_sentence(note), "plain") for note in (*design.collisions, *design.notes)),
         ),
         tuple(sections),
     )
     return render(page)
+
+
+def _sentence(note: str) -> str:
+    return f"{note[0].upper()}{note[1:]}."
 
 
 def _headline(design: Design) -> str:

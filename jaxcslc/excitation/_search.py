@@ -49,7 +49,8 @@ class Multipliers(NamedTuple):
     contacts: Any  # (contacts,)
 
 
-_CONTACTS = 1024  # a fixed number, so that programs are compiled once
+CONTACTS = 1024  # a fixed number, so that programs are compiled once
+_FAR_AWAY = 1e3  # of those that fill it [m]
 _LENGTH = 0.02  # what distances are measured in [m]
 
 
@@ -268,16 +269,16 @@ class Search:
             jnp.zeros((4, samples, n)),
             jnp.zeros((samples, n)),
             jnp.zeros((samples, n)),
-            jnp.zeros(_CONTACTS),
+            jnp.zeros(CONTACTS),
         )
         objective = np.inf
         self.best = np.array(x)
         for number in range(rounds):
             q, _, _ = problem.motion(self.best)
             spectra = problem.information.spectra(q)
-            contacts = self.contacts(q) if self.contacts else _no_contacts(n)
+            contacts = self.contacts(q) if self.contacts else padded_contacts(n)
             # Contacts are others in each round, and so are their multipliers.
-            multipliers = multipliers._replace(contacts=jnp.zeros(_CONTACTS))
+            multipliers = multipliers._replace(contacts=jnp.zeros(CONTACTS))
             arguments = (spectra, multipliers, jnp.asarray(penalty), contacts)
 
             def value(x: np.ndarray, arguments: Any = arguments) -> tuple[float, np.ndarray]:
@@ -314,20 +315,13 @@ class Search:
         return objective
 
 
-def _no_contacts(joints: int) -> Contacts:
-    return padded_contacts(
-        Contacts(np.zeros(0, int), np.zeros(0), np.zeros((0, joints)), np.zeros((0, joints)))
+def padded_contacts(joints: int, found: Contacts | None = None) -> Contacts:
+    """Return the contacts found, with as many far away ones as make the fixed number."""
+    missing = CONTACTS - (0 if found is None else len(found.sample))
+    far = Contacts(
+        np.zeros(missing, int),
+        np.full(missing, _FAR_AWAY),
+        np.zeros((missing, joints)),
+        np.zeros((missing, joints)),
     )
-
-
-def padded_contacts(contacts: Contacts) -> Contacts:
-    """Return the nearest contacts, with as many far away ones as make the fixed number."""
-    order = np.argsort(contacts.distance)[:_CONTACTS]
-    missing = _CONTACTS - len(order)
-    sample, distance, jacobian, position = (x[order] for x in contacts)
-    return Contacts(
-        np.pad(sample, (0, missing)),
-        np.pad(distance, (0, missing), constant_values=1e3),
-        np.pad(jacobian, ((0, missing), (0, 0))),
-        np.pad(position, ((0, missing), (0, 0))),
-    )
+    return far if found is None else Contacts(*map(np.concatenate, zip(found, far, strict=True)))

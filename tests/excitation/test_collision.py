@@ -1,9 +1,12 @@
 """Distances of bodies: closed forms, slopes, bounds between samples, designs beside obstacles."""
 
 import math
+from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import jaxcslc as jc
 from jaxcslc.excitation import (
@@ -17,6 +20,7 @@ from jaxcslc.excitation import (
     Planner,
     Surroundings,
 )
+from jaxcslc.instruments import link_poses
 
 
 RADIUS = 0.05
@@ -95,15 +99,61 @@ def test_a_design_keeps_its_distance(arm: jc.Manipulator) -> None:
     assert check.use(design.parameters).feasible
 
 
-@pytest.mark.parametrize(
-    ("surroundings", "message"),
-    [
-        (Surroundings(), "has no shapes; expected 'radius'"),
-        (Surroundings(radius=(0.1, 0.1, 0.1)), "radius: expected one number above 0 or 2"),
-    ],
-)
-def test_robots_without_shapes_are_named(
-    arm: jc.Manipulator, surroundings: Surroundings, message: str
-) -> None:
+def test_robots_without_shapes_have_capsules(arm: jc.Manipulator) -> None:
+    """Links of half a metre, and the usual twentieth of it as radius."""
+    bodies = CollisionBodies.of(arm, Surroundings(spheres=(((0.0, 0.65, 0.0), 0.1),)))
+    assert bodies.notes[-1].startswith("capsules of 25 mm radius stand for all links")
+    distance, _ = bodies.distances(np.array([math.pi / 2, 0.0]), 2.0)
+    assert distance.min() == pytest.approx(0.15 - 0.1 - 0.025, abs=1e-6)
+
+
+def test_a_wrong_number_of_radii_is_named(arm: jc.Manipulator) -> None:
+    message = "radius: expected one number above 0 or 2"
     with pytest.raises(ValueError, match=message):
-        CollisionBodies.of(arm, surroundings)
+        CollisionBodies.of(arm, Surroundings(radius=(0.1, 0.1, 0.1)))
+
+
+def heights_of_urdf(path: Path, q: dict[str, np.ndarray]) -> np.ndarray:
+    """Heights of all joints' and frames' origins (samples, origins), by the file alone."""
+    samples = len(next(iter(q.values())))
+    root = ElementTree.parse(path).getroot()
+    poses: dict[str, np.ndarray] = {root.findall("link")[0].attrib["name"]: np.eye(4)}
+    heights: list[np.ndarray] = []
+    for joint in root.iter("joint"):  # these files list them from the base outwards
+        ends = {end: joint.find(end) for end in ("parent", "child", "origin", "axis")}
+        entry = {key: {} if x is None else x.attrib for key, x in ends.items()}
+        fixed = np.eye(4)
+        angles = np.fromstring(entry["origin"].get("rpy", "0 0 0"), sep=" ")
+        fixed[:3, :3] = Rotation.from_euler("xyz", angles).as_matrix()
+        fixed[:3, 3] = np.fromstring(entry["origin"].get("xyz", "0 0 0"), sep=" ")
+        turn = np.tile(np.eye(4), (samples, 1, 1))
+        if (angle := q.get(joint.attrib["name"])) is not None:
+            axis = np.fromstring(entry["axis"]["xyz"], sep=" ")
+            turn[:, :3, :3] = Rotation.from_rotvec(angle[:, None] * axis).as_matrix()
+        pose = poses[entry["parent"]["link"]] @ fixed @ turn
+        poses[entry["child"]["link"]] = pose
+        heights.append(pose[:, 2, 3])
+    return np.stack(heights, axis=1)
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5", "puma560"])
+def test_no_pose_of_a_design_is_below_the_floor(name: str) -> None:
+    """Of the example's robot files, with what a file without surroundings gives."""
+    path = Path(jc.__file__).parent / "examples" / "robots" / f"{name}.urdf"
+    robot = jc.puma560() if name == "puma560" else jc.load_robot(path)
+    limits = Limits.of(robot, surroundings="usual")
+    planner = Planner.of(
+        jc.derive(robot, lengths="numeric"), limits, Noise(0.5, 1e-4), BSplines(4.0, 8)
+    )
+    design = planner.design(1, Effort(1, 1, 10))
+    assert design.use.feasible
+    q = design.family.derivative(design.parameters, np.linspace(0.0, 4.0, 2001))
+    assert np.ptp(q, axis=0).max() > 0.1
+    if name == "puma560":
+        poses = link_poses(robot, q)
+        tip = poses[:, -1] @ [0.0, 0.0, 0.064, 1.0]  # twice the centre of gravity of link 6
+        heights = np.column_stack([poses[..., 2, 3], tip[:, 2]]) + 0.6718
+    else:
+        heights = heights_of_urdf(path, dict(zip(robot.joint_names, q.T, strict=True)))
+    radius = {"panda": 0.0606, "ur5": 0.0623, "puma560": 0.0895}[name]
+    assert heights.min() >= radius

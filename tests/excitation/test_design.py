@@ -29,7 +29,7 @@ from jaxcslc.excitation import (
 )
 from jaxcslc.excitation._criteria import body_prior, body_variances, log_criterion
 from jaxcslc.excitation._information import Moments
-from jaxcslc.excitation._search import Multipliers, _no_contacts
+from jaxcslc.excitation._search import Multipliers, padded_contacts
 from tests import arms
 
 
@@ -87,9 +87,9 @@ def test_gradient_of_the_lagrangian(pendulum_planner: Planner, rng: np.random.Ge
 
     @jax.jit
     def value(x: jax.Array) -> jax.Array:
-        return problem.lagrangian(x, spectra, multipliers, jnp.asarray(5.0), _no_contacts(joints))[
-            0
-        ]
+        return problem.lagrangian(
+            x, spectra, multipliers, jnp.asarray(5.0), padded_contacts(joints)
+        )[0]
 
     direction = jnp.asarray(rng.normal(size=x.size))
     step = 1e-6

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.excitation import CollisionBodies, Surroundings, load_limits
+from jaxcslc.excitation import CollisionBodies, Limits, Surroundings, load_limits
 
 
 # A cube of 0.2 m: two triangles a face.
@@ -63,15 +63,98 @@ def test_meshes_are_looked_for_as_ros_does(tmp_path: Path, mesh: str) -> None:
     [
         (
             "package://other/meshes/no.stl",
-            "mesh 'package://other/meshes/no.stl' of .* is not there",
+            "mesh 'package://other/meshes/no.stl' was not found",
         ),
-        ("../meshes/cube.dae", "mesh 'cube.dae' of .*: expected .stl, .obj, .msh, or 'radius'"),
+        ("../meshes/cube.dae", "mesh 'cube.dae' cannot be read (only .stl, .obj, .msh)"),
     ],
 )
-def test_meshes_that_cannot_be_read_are_named(tmp_path: Path, mesh: str, message: str) -> None:
-    robot = robot_with(tmp_path, mesh)
-    with pytest.raises(ValueError, match=message):
-        CollisionBodies.of(robot, Surroundings(floor=-1.0))
+def test_meshes_that_cannot_be_read_are_named_and_replaced(
+    tmp_path: Path, mesh: str, message: str
+) -> None:
+    """The link has its frame and its mass at its joint: a ball of the usual radius of 50 mm."""
+    bodies = CollisionBodies.of(robot_with(tmp_path, mesh), Surroundings(floor=-1.0))
+    assert any(message in note for note in bodies.notes)
+    assert bodies.notes[-1].startswith("capsules of 50 mm radius stand for all links")
+    assert bodies.distances(np.zeros(1), 2.0)[0] == pytest.approx([0.95], abs=1e-6)
+
+
+def standing(folder: Path, base: str, *, up: float = 1.0, tool: str = "") -> CollisionBodies:
+    """An upright arm of two links, the upper 0.5 m long with a shape, the fore one without.
+
+    `up` is -1 for an arm that hangs. The fore link's centre of gravity is 0.2 m out.
+    """
+    mass = (
+        f'<inertial><origin xyz="0 0 {0.2 * up}"/><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+    joints = "".join(
+        f'<joint name="{child}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="0 0 {at * up}"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="1" velocity="2" effort="10"/></joint>'
+        for parent, child, at in (("base", "upper", 0.3), ("upper", "fore", 0.5))
+    )
+    path = folder / "arm.urdf"
+    path.write_text(
+        f'<robot name="arm"><link name="base">{base}</link><link name="upper">{mass}'
+        f'<collision><origin xyz="0 0 {0.25 * up}"/><geometry><box size="0.1 0.1 0.4"/></geometry>'
+        f'</collision></link><link name="fore">{mass}</link>{tool}{joints}</robot>'
+    )
+    return CollisionBodies.of(jc.load_robot(path), Surroundings())
+
+
+FOOT = (
+    '<collision><origin xyz="0 0 {at}"/><geometry><box size="0.1 0.1 0.3"/></geometry></collision>'
+)
+TOOL = (
+    '<link name="flange"/><joint name="tool" type="fixed"><parent link="fore"/>'
+    '<child link="flange"/><origin xyz="0.3 0 0"/></joint>'
+)
+
+
+def height_of_tip(bodies: CollisionBodies, q: list[float]) -> float:
+    """Lowest point of the fore link above the floor: the pair's distance."""
+    model = bodies.data.model
+    floor, fore = model.geom("obstacle floor").id, model.body("fore").id
+    pair = [
+        {floor, fore} == {int(a), int(model.geom_bodyid[b])}
+        or {floor, fore} == {int(b), int(model.geom_bodyid[a])}
+        for a, b in bodies.pairs
+    ]
+    return float(bodies.distances(np.array(q), 5.0)[0][pair].min())
+
+
+@pytest.mark.parametrize(("base", "foot"), [("", 0.0), (FOOT.format(at=-0.05), -0.2)])
+def test_the_floor_is_at_the_foot_of_the_base(tmp_path: Path, base: str, foot: float) -> None:
+    bodies = standing(tmp_path, base)
+    assert f"a floor at z = {foot:g} m (the base's foot)" in bodies.notes[0]
+    radius = 0.05 * 0.8 if not base else 0.05 * (0.8 - foot)
+    # Lying, the fore link is at the height of the shoulder and 0.5 m up.
+    assert height_of_tip(bodies, [0.0, np.pi / 2]) == pytest.approx(0.8 - foot - radius, abs=1e-6)
+
+
+def test_links_without_shapes_end_at_twice_their_centre_of_gravity(tmp_path: Path) -> None:
+    bodies = standing(tmp_path, "")
+    assert height_of_tip(bodies, [0.0, np.pi]) == pytest.approx(0.4 - 0.04, abs=1e-6)
+    assert bodies.notes[-1].startswith("capsules of 40 mm radius stand for fore, for which")
+
+
+def test_links_without_shapes_end_at_what_is_fixed_to_them(tmp_path: Path) -> None:
+    bodies = standing(tmp_path, "", tool=TOOL)
+    assert height_of_tip(bodies, [0.0, np.pi / 2]) == pytest.approx(0.5 - 0.04, abs=1e-6)
+
+
+def test_an_arm_that_hangs_has_a_ceiling(tmp_path: Path) -> None:
+    bodies = standing(tmp_path, FOOT.format(at=0.05), up=-1.0)
+    assert "a ceiling at z = 0.2 m (the base's foot)" in bodies.notes[0]
+    assert bodies.distances(np.zeros(2), 5.0)[0].min() > 0.0
+
+
+def test_without_a_floor_that_is_said(tmp_path: Path) -> None:
+    limits = Limits.of(jc.panda(), surroundings="usual").without_floor()
+    assert limits.surroundings is not None
+    bodies = CollisionBodies.of(jc.panda(), limits.surroundings)
+    assert "floor" not in bodies.notes[0]
+    assert bodies.notes[1].startswith("collisions were not looked for with a floor;")
 
 
 LIMITS = """[joints]
@@ -105,10 +188,19 @@ def test_all_surroundings_of_a_file_are_read(tmp_path: Path) -> None:
     )
 
 
-def test_without_the_table_nothing_is_watched(tmp_path: Path) -> None:
+def test_without_the_table_floor_and_bodies_are_watched(tmp_path: Path) -> None:
     path = tmp_path / "limits.toml"
     path.write_text("[joints]\nvelocity = 1.5\n")
-    assert load_limits(path, jc.puma560()).surroundings is None
+    assert load_limits(path, jc.puma560()).surroundings == Surroundings(floor=-0.6718)
+    path.write_text("[surroundings]\nfloor = false\n")
+    assert load_limits(path, jc.puma560()).surroundings == Surroundings(floor=None)
+
+
+def test_lengths_without_values_are_said_to_be_unwatched() -> None:
+    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, "a1", 0, 0)])
+    limits = Limits.of(arm, {"position": [-1, 1], "velocity": 1, "torque": 9}, "usual")
+    assert limits.surroundings is None
+    assert "collisions: lengths of 'robot' have no values" in limits.notes
 
 
 @pytest.mark.parametrize(
