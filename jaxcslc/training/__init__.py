@@ -86,6 +86,7 @@ from ._rules import (
     Backpropagation as Backpropagation,
     IdealPERAL as IdealPERAL,
     PerceptronRule as PerceptronRule,
+    Presentation as Presentation,
     check_sign_rank as check_sign_rank,
 )
 from ._train import train as train, training_steps as training_steps
@@ -121,6 +122,7 @@ __all__ = [
     "Plan",
     "PolynomialTerms",
     "Preprocessed",
+    "Presentation",
     "Pruning",
     "RadialBasis",
     "Record",

@@ -19,7 +19,7 @@ from ._cost_kernel import CostKernel, cost_kernel
 from ._functions import HARD_LIMITER, LINEAR_COMBINER, Cost, half_square
 from ._kernel import batched_by, summed_change
 from ._network import AdaptiveNetwork, Layer, Signals, Subnetwork
-from ._rules import AbstractRule, Backpropagation, Counts, links_per_weight, of_subnetwork
+from ._rules import AbstractRule, Backpropagation, Counts, links_per_weight, subnetwork_counts
 
 
 def reach(network: AdaptiveNetwork) -> tuple[tuple[int, ...], ...]:
@@ -75,7 +75,7 @@ def _covered(
     total = jnp.zeros(size, counts.dtype)
     for at, subnetwork in enumerate(subnetworks):
         inputs, contexts = signals.inputs[at], signals.contexts[at]
-        back = of_subnetwork(counts, at)
+        back = subnetwork_counts(counts, at)
         for layer, context in zip(reversed(subnetwork.contexts), reversed(contexts), strict=True):
             moduli = jnp.abs(context)
             if layer.layers:

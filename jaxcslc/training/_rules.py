@@ -5,6 +5,7 @@ A rule states how far an epoch moves the weights at a rate of one.
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -24,6 +25,25 @@ Numbers = Float[Array, "outputs patterns"]
 Counts = Float[Array, "*subnetworks outputs patterns"]
 #: What every adaptive layer's links are moved by: (nodes, inputs) each, of sizes that differ.
 Moves = Sequence[Float[Array, "_ _"]]
+
+
+class Presentation(NamedTuple):
+    """Patterns that were presented to a network, as a learning rule sees them.
+
+    - `passage`: forward, with these weights.
+    - `errors`: target less output, at the output nodes.
+    - `counts`: of the pairs, for all subnetworks or for each.
+    """
+
+    network: AdaptiveNetwork
+    weights: Weights
+    passage: Passage
+    errors: Numbers
+    counts: Counts
+
+    def masked_errors(self, subnetwork: int) -> Numbers:
+        """Return the errors that a subnetwork learns from; zero for pairs that do not count."""
+        return self.errors * subnetwork_counts(self.counts, subnetwork)
 
 
 class AbstractRule(eqx.Module):
@@ -61,19 +81,8 @@ class AbstractRule(eqx.Module):
         return None
 
     @abstractmethod
-    def moves(
-        self,
-        network: AdaptiveNetwork,
-        weights: Weights,
-        passage: Passage,
-        errors: Numbers,
-        counts: Counts,
-    ) -> Moves:
-        """Compute what the links of every adaptive layer are moved by, at a rate of one.
-
-        - `passage`: forward, of the patterns.
-        - `errors`: at the output nodes; `counts`: as of `change`.
-        """
+    def moves(self, shown: Presentation) -> Moves:
+        """Compute what the links of every adaptive layer are moved by, at a rate of one."""
 
     def proportions(self, weights: Weights) -> Weights | None:
         """Return what links are moved in proportion to, for rules that move what links pass on.
@@ -104,13 +113,13 @@ class AbstractRule(eqx.Module):
         """
         passage = network.forward(weights, signals)
         errors = targets - network.activation.value(passage.total)
-        moves = self.moves(network, weights, passage, errors, counts)
+        moves = self.moves(Presentation(network, weights, passage, errors, counts))
         sizes = self.proportions(weights)
         change = change_of_weights(network, moves, learning, by_sign=sizes is not None)
         return change if sizes is None else jnp.abs(sizes)[None, :] * change
 
 
-def of_subnetwork(counts: Counts, number: int) -> Numbers:
+def subnetwork_counts(counts: Counts, number: int) -> Numbers:
     """Return the counts of one subnetwork."""
     return counts[number] if counts.ndim == 3 else counts
 
@@ -176,16 +185,8 @@ class PerceptronRule(AbstractRule):
             return f"the perceptron rule trains hard limiters, not a {network.activation.name}"
         return None
 
-    def moves(
-        self,
-        network: AdaptiveNetwork,
-        weights: Weights,
-        passage: Passage,
-        errors: Numbers,
-        counts: Counts,
-    ) -> Moves:
-        del network, weights
-        return [transposed_product(errors * of_subnetwork(counts, 0), passage.layer_inputs[0][0])]
+    def moves(self, shown: Presentation) -> Moves:
+        return [transposed_product(shown.masked_errors(0), shown.passage.layer_inputs[0][0])]
 
 
 class Backpropagation(AbstractRule):
@@ -214,21 +215,15 @@ class Backpropagation(AbstractRule):
                 )
         return None
 
-    def moves(
-        self,
-        network: AdaptiveNetwork,
-        weights: Weights,
-        passage: Passage,
-        errors: Numbers,
-        counts: Counts,
-    ) -> Moves:
+    def moves(self, shown: Presentation) -> Moves:
+        network, weights, passage = shown.network, shown.weights, shown.passage
         slope = network.activation.slope
         assert slope is not None, self.check_network(network)
         slopes = slope(passage.total)
 
         moves: list[Array] = []
         for at, subnetwork in enumerate(network.subnetworks):
-            delta = errors * of_subnetwork(counts, at) * slopes
+            delta = shown.masked_errors(at) * slopes
             inputs, sums = passage.layer_inputs[at], passage.sums[at]
             end = len(inputs)
             subnetwork_moves: list[Array] = []  # from the last layer to the first
@@ -273,7 +268,47 @@ def _moves_back(
     return moves
 
 
-class PERAL(AbstractRule):
+class AbstractProportionalRule(AbstractRule):
+    """A rule that allocates errors to links in proportion to what they bring (thesis 6)."""
+
+    @abstractmethod
+    def proportions(self, weights: Weights) -> Weights:
+        """Return the weights whose links' contributions are what errors are in proportion to."""
+
+    def moves(self, shown: Presentation) -> Moves:
+        network, passage = shown.network, shown.passage
+        sizes = self.proportions(shown.weights)
+        # Moduli of what the links of each subnetwork's adaptive layer bring to its nodes, and of
+        # what its context layers bring to theirs.
+        brought: list[list[Array]] = []
+        for at, subnetwork in enumerate(network.subnetworks):
+            magnitudes = subnetwork.layers[0].links.matrix(sizes, magnitude=True)
+            moduli = [magnitudes @ jnp.abs(passage.layer_inputs[at][0])]
+            for layer, value, context in zip(
+                subnetwork.contexts, passage.values[at], passage.contexts[at], strict=True
+            ):
+                moduli.append(layer.forward(jnp.abs(value), jnp.abs(context)))
+            brought.append(moduli)
+        at_outputs = sum((moduli[-1] for moduli in brought[1:]), start=brought[0][-1])
+
+        moves: list[Array] = []
+        for at, subnetwork in enumerate(network.subnetworks):
+            counted = shown.masked_errors(at)
+            wanted = counted if network.activation.increasing else -counted  # Eqn. 6.2-1
+            portion = share(wanted, at_outputs)
+            for number in reversed(range(len(subnetwork.contexts))):
+                layer, value = subnetwork.contexts[number], passage.values[at][number]
+                signs = jnp.sign(passage.contexts[at][number])
+                inverse_fan_out = 1.0 / layer.fan_out.astype(value.dtype)
+                moved = jnp.abs(value) * layer.backward(portion, signs) * inverse_fan_out[:, None]
+                if number == 0 and not subnetwork.layers[0].activation.increasing:
+                    moved = -moved  # Eqn. 6.2-5
+                portion = share(moved, brought[at][number])
+            moves.append(transposed_product(portion, jnp.sign(passage.layer_inputs[at][0])))
+        return moves
+
+
+class PERAL(AbstractProportionalRule):
     """Proportional error allocation (thesis 6.2): each link takes its share of the error.
 
     The value that a link passes on is moved by a part of the node's error, in proportion to the
@@ -317,50 +352,6 @@ class PERAL(AbstractRule):
     def proportions(self, weights: Weights) -> Weights:
         return weights
 
-    def moves(
-        self,
-        network: AdaptiveNetwork,
-        weights: Weights,
-        passage: Passage,
-        errors: Numbers,
-        counts: Counts,
-    ) -> Moves:
-        return _allocated(network, weights, passage, errors, counts)
-
-
-def _allocated(
-    network: AdaptiveNetwork, sizes: Weights, passage: Passage, errors: Numbers, counts: Counts
-) -> Moves:
-    """Allocate errors to links in proportion to what they would bring with weights `sizes`."""
-    # Moduli of what the links of each subnetwork's adaptive layer bring to its nodes, and of
-    # what its context layers bring to theirs.
-    brought: list[list[Array]] = []
-    for at, subnetwork in enumerate(network.subnetworks):
-        magnitudes = subnetwork.layers[0].links.matrix(sizes, magnitude=True)
-        moduli = [magnitudes @ jnp.abs(passage.layer_inputs[at][0])]
-        for layer, value, context in zip(
-            subnetwork.contexts, passage.values[at], passage.contexts[at], strict=True
-        ):
-            moduli.append(layer.forward(jnp.abs(value), jnp.abs(context)))
-        brought.append(moduli)
-    at_outputs = sum((moduli[-1] for moduli in brought[1:]), start=brought[0][-1])
-
-    moves: list[Array] = []
-    for at, subnetwork in enumerate(network.subnetworks):
-        counted = errors * of_subnetwork(counts, at)
-        wanted = counted if network.activation.increasing else -counted  # Eqn. 6.2-1
-        portion = share(wanted, at_outputs)
-        for number in reversed(range(len(subnetwork.contexts))):
-            layer, value = subnetwork.contexts[number], passage.values[at][number]
-            signs = jnp.sign(passage.contexts[at][number])
-            inverse_fan_out = 1.0 / layer.fan_out.astype(value.dtype)
-            moved = jnp.abs(value) * layer.backward(portion, signs) * inverse_fan_out[:, None]
-            if number == 0 and not subnetwork.layers[0].activation.increasing:
-                moved = -moved  # Eqn. 6.2-5
-            portion = share(moved, brought[at][number])
-        moves.append(transposed_product(portion, jnp.sign(passage.layer_inputs[at][0])))
-    return moves
-
 
 def check_layers(network: AdaptiveNetwork) -> str | None:
     """Return why proportional allocation cannot train such a network; None if it can."""
@@ -387,7 +378,7 @@ def share(amount: Array, among: Array) -> Array:
     return jnp.where(empty, 0.0, amount / jnp.where(empty, 1.0, among))
 
 
-class IdealPERAL(AbstractRule):
+class IdealPERAL(AbstractProportionalRule):
     """PERAL with the optimum known (thesis 6.1), to study what the practical form approximates.
 
     Errors are allocated in proportion to what each link would contribute at the optimum:
@@ -440,7 +431,7 @@ class IdealPERAL(AbstractRule):
             # Nodes that see the same inputs of the same patterns are looked at once.
             views = {
                 (tuple(layer.links.source[layer.links.node == node]), taken.tobytes()): taken
-                for node, taken in enumerate(np.asarray(of_subnetwork(counts, at)) > 0)
+                for node, taken in enumerate(np.asarray(subnetwork_counts(counts, at)) > 0)
             }
             for (sources, _), taken in views.items():
                 try:
@@ -452,17 +443,6 @@ class IdealPERAL(AbstractRule):
     def proportions(self, weights: Weights) -> Weights:
         del weights
         return self.optimum
-
-    def moves(
-        self,
-        network: AdaptiveNetwork,
-        weights: Weights,
-        passage: Passage,
-        errors: Numbers,
-        counts: Counts,
-    ) -> Moves:
-        del weights
-        return _allocated(network, self.optimum, passage, errors, counts)
 
 
 def check_sign_rank(inputs: Float[Array | np.ndarray, "patterns inputs"]) -> None:

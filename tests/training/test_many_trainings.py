@@ -19,8 +19,8 @@ from jaxcslc.training import (
     Backpropagation,
     Examples,
     FixedRates,
-    Passage,
     Plan,
+    Presentation,
     Schedule,
     Training,
     TrainingState,
@@ -256,16 +256,9 @@ class Traced(AbstractRule):
     def check_network(self, network: AdaptiveNetwork) -> str | None:
         return None
 
-    def moves(
-        self,
-        network: AdaptiveNetwork,
-        weights: Array,
-        passage: Passage,
-        errors: Array,
-        counts: Array,
-    ) -> Sequence[Array]:
+    def moves(self, shown: Presentation) -> Sequence[Array]:
         TRACES.append(self.name)
-        return Backpropagation().moves(network, weights, passage, errors, counts)
+        return Backpropagation().moves(shown)
 
 
 def test_nothing_compiles_twice(problem: Problem, rng: np.random.Generator) -> None:
