@@ -5,7 +5,7 @@ backpropagation of linear networks.
 """
 
 from collections.abc import Sequence
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -18,41 +18,8 @@ from jaxtyping import Array, Bool, Float
 from ._cost_kernel import CostKernel, cost_kernel
 from ._functions import HARD_LIMITER, LINEAR_COMBINER, Cost, half_square
 from ._kernel import batched_by, summed_change
-from ._network import AdaptiveNetwork, Layer, Signals, Subnetwork
+from ._network import AdaptiveNetwork, Layer, Signals, Subnetwork, reaching_weights
 from ._rules import AbstractRule, Backpropagation, Counts, links_per_weight, subnetwork_counts
-
-
-def reach(network: AdaptiveNetwork) -> tuple[tuple[int, ...], ...]:
-    """Return, for each output, the weights that can change it, in ascending order."""
-    return _reach(network.subnetworks)
-
-
-@lru_cache(maxsize=64)
-def _reach(subnetworks: tuple[Subnetwork, ...]) -> tuple[tuple[int, ...], ...]:
-    reaching: list[set[int]] = [set() for _ in range(subnetworks[0].outputs)]
-    for subnetwork in subnetworks:
-        at = _reach_through(subnetwork.layers, subnetwork.layers[0].inputs)
-        for layer in subnetwork.contexts:
-            of_contexts = _reach_through(layer.layers, layer.context_inputs)
-            nodes: list[set[int]] = [set() for _ in range(layer.nodes)]
-            for source, node, context in zip(layer.source, layer.node, layer.context, strict=True):
-                nodes[node] |= at[source] | of_contexts[context]
-            at = nodes
-        reaching = [old | new for old, new in zip(reaching, at, strict=True)]
-    return tuple(tuple(sorted(weights)) for weights in reaching)
-
-
-def _reach_through(layers: Sequence[Layer], inputs: int) -> list[set[int]]:
-    """The weights of adaptive layers in a row that reach each of their outputs."""
-    at: list[set[int]] = [set() for _ in range(inputs)]
-    for layer in layers:
-        links = layer.links
-        at += [set()] * layer.bias
-        nodes: list[set[int]] = [set() for _ in range(links.nodes)]
-        for source, node, weight in zip(links.source, links.node, links.weight, strict=True):
-            nodes[node] |= at[source] | {int(weight)}
-        at = nodes
-    return at
 
 
 def covered(network: AdaptiveNetwork, signals: Signals, counts: Counts) -> Bool[Array, " weights"]:
@@ -163,21 +130,18 @@ class Examples(eqx.Module):
     ) -> tuple[Float[Array, ""], ...]:
         """Each cost of the network with these weights; of many weights at once by a kernel, where
         there is one."""
-        if self.equations is not None and half_square in costs:
-            (by_equations,) = self.equations.costs(network, weights, half_square)
-            others = tuple(cost for cost in costs if cost is not half_square)
-            remaining = iter(self.costs(network, weights, *others))
-            return tuple(by_equations if cost is half_square else next(remaining) for cost in costs)
-        kernels = {cost: self._cost_kernel(network, cost, 0) for cost in costs}
-        if any(kernel is None for kernel in kernels.values()):
-            errors = self.errors(network, weights)
-            return tuple(cost(errors, self.counts) for cost in costs)
-        values: dict[Cost, Array] = {}
-        for cost, kernel in kernels.items():
-            assert kernel is not None
-            single, many = partial(_cost_after, network, cost), partial(_costs_of_many, kernel)
-            values[cost] = batched_by(single, many, 1)(weights, self)
+        values = {cost: self._cost(network, weights, cost) for cost in costs}
         return tuple(values[cost] for cost in costs)
+
+    def _cost(
+        self, network: AdaptiveNetwork, weights: Float[Array, " weights"], cost: Cost
+    ) -> Float[Array, ""]:
+        if self.equations is not None and cost is half_square:
+            return self.equations.costs(network, weights, cost)[0]
+        single, kernel = partial(_cost_after, network, cost), self._cost_kernel(network, cost, 0)
+        if kernel is None:
+            return single(weights, self)
+        return batched_by(single, partial(_costs_of_many, kernel), 1)(weights, self)
 
     def trial_costs(
         self,
@@ -228,7 +192,7 @@ class Examples(eqx.Module):
     def _cost_kernel(self, network: AdaptiveNetwork, cost: Cost, trials: int) -> CostKernel | None:
         if self.condensed is None:
             return None
-        return cost_kernel(network, cost, reach(network), trials)
+        return cost_kernel(network, cost, reaching_weights(network), trials)
 
     def change(
         self,
@@ -252,7 +216,7 @@ class Examples(eqx.Module):
         return jnp.stack(
             [
                 weights[np.array(support, int)] @ rows
-                for support, rows in zip(reach(network), self.condensed, strict=True)
+                for support, rows in zip(reaching_weights(network), self.condensed, strict=True)
             ]
         )
 
@@ -358,7 +322,7 @@ def _condensed(network: AdaptiveNetwork, signals: Signals) -> tuple[Array, ...]:
     )
     return tuple(
         counted_outputs[np.array(support, int), output]
-        for output, support in enumerate(reach(network))
+        for output, support in enumerate(reaching_weights(network))
     )
 
 

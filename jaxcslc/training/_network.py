@@ -7,7 +7,7 @@ that vary from pattern to pattern (thesis 3.1, 3.3). Networks of common structur
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from itertools import combinations_with_replacement, pairwise
 from typing import Any, NamedTuple
 
@@ -591,36 +591,69 @@ def order_per_output(network: AdaptiveNetwork) -> tuple[int, ...]:
                 f"network order: subnetwork {subnetwork.name!r} computes weights (3.3.5), which may"
                 " be scaled against what they weigh; no number of patterns determines both"
             )
-    reached = [_reach(subnetwork) for subnetwork in network.subnetworks]
     return tuple(
-        len(frozenset[int]().union(*(weights[output] for weights, _ in reached)))
-        * max(before[output] for _, before in reached)
-        for output in range(network.outputs_count)
+        len(frozenset[int]().union(*(unit.last for unit in units)))
+        * max(unit.before for unit in units)
+        for units in _reached(network.subnetworks)
     )
 
 
-def _reach(subnetwork: Subnetwork) -> tuple[Sequence[frozenset[int]], Sequence[int]]:
-    """Return each last node's weights since the last adaptive layer, and the order before it."""
-    weights: list[frozenset[int]] = []
-    before: list[int] = []
-    orders = [1] * subnetwork.layers[0].inputs
-    for layer in subnetwork.layers:
-        sources = [*orders, 1] if layer.bias else orders
+def reaching_weights(network: AdaptiveNetwork) -> tuple[tuple[int, ...], ...]:
+    """Return, for each output, the weights that can change it, in ascending order."""
+    return tuple(
+        tuple(sorted(frozenset[int]().union(*(unit.weights for unit in units))))
+        for units in _reached(network.subnetworks)
+    )
+
+
+class _Reach(NamedTuple):
+    """What reaches a unit of a network.
+
+    - `weights`: all of them; `last`: those since the last adaptive layer.
+    - `before`: the order of what these weigh.
+    """
+
+    weights: frozenset[int] = frozenset()
+    last: frozenset[int] = frozenset()
+    before: int = 1
+
+    @property
+    def order(self) -> int:
+        return max(len(self.last), 1) * self.before
+
+
+@lru_cache(maxsize=64)
+def _reached(subnetworks: tuple[Subnetwork, ...]) -> tuple[tuple[_Reach, ...], ...]:
+    """Return what reaches each output, by every subnetwork."""
+    at_outputs: list[list[_Reach]] = []
+    for subnetwork in subnetworks:
+        units = _through_layers(subnetwork.layers, subnetwork.layers[0].inputs)
+        for layer in subnetwork.contexts:
+            contexts = _through_layers(layer.layers, layer.context_inputs)
+            nodes = [_Reach()] * layer.nodes
+            for source, node, context in zip(layer.source, layer.node, layer.context, strict=True):
+                at, unit = nodes[node], units[source]
+                weights = at.weights | unit.weights | contexts[context].weights
+                before = max(at.before, unit.before)
+                nodes[node] = _Reach(weights, at.last | unit.last, before)
+            units = nodes
+        at_outputs.append(units)
+    return tuple(zip(*at_outputs, strict=True))
+
+
+def _through_layers(layers: Sequence[Layer], inputs: int) -> list[_Reach]:
+    """Return what reaches the outputs of adaptive layers in a row."""
+    units = [_Reach()] * inputs
+    for layer in layers:
+        units = [*units, _Reach()]  # the last one stands for a bias
+        nodes = [_Reach()] * layer.links.nodes
         links = layer.links
-        weights = [frozenset[int]()] * links.nodes
-        before = [1] * links.nodes
         for source, node, weight in zip(links.source, links.node, links.weight, strict=True):
-            weights[node] |= {int(weight)}
-            before[node] = max(before[node], sources[source])
-        orders = [max(len(w), 1) * b for w, b in zip(weights, before, strict=True)]
-    for layer in subnetwork.contexts:
-        further = [frozenset[int]()] * layer.nodes
-        highest = [1] * layer.nodes
-        for source, node in zip(layer.source, layer.node, strict=True):
-            further[node] |= weights[source]
-            highest[node] = max(highest[node], before[source])
-        weights, before = further, highest
-    return weights, before
+            at, unit, own = nodes[node], units[source], frozenset([int(weight)])
+            weights = at.weights | unit.weights | own
+            nodes[node] = _Reach(weights, at.last | own, max(at.before, unit.order))
+        units = nodes
+    return units
 
 
 class PolynomialTerms(eqx.Module):

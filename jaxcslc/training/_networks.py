@@ -121,19 +121,24 @@ class InverseDynamicsInputs(eqx.Module):
     network: CSLC
 
     def __call__(self, patterns: Any) -> Signals:
-        arrays = patterns if isinstance(patterns, tuple) else _motion(patterns)
-        motion = [jnp.asarray(x) for x in arrays]
-        shapes = [x.shape for x in motion]
-        n = self.network.joint_count
-        if len(motion) != 3 or len(set(shapes)) != 1 or shapes[0][-1:] != (n,):
-            raise ValueError(
-                f"motion: expected q, qd and qdd of one shape (..., {n}), got"
-                f" {', '.join(map(str, shapes))}"
-            )
-        dtype = jnp.result_type(*motion)
-        if not jnp.issubdtype(dtype, jnp.floating):
-            dtype = jnp.result_type(float)
-        return _signals(self.network, *(x.astype(dtype) for x in motion))
+        return _signals(self.network, *_motion(patterns, self.network.joint_count))
+
+
+def _motion(patterns: Any, count: int) -> tuple[Float[Array, "*batch motion"], ...]:
+    """Return q, qd and qdd of patterns, or of a tuple of them: (..., count) each, floats."""
+    names = ("q", "qd", "qdd")
+    arrays = patterns if isinstance(patterns, tuple) else [getattr(patterns, x) for x in names]
+    motion = [jnp.asarray(x) for x in arrays]
+    shapes = [x.shape for x in motion]
+    if len(motion) != 3 or len(set(shapes)) != 1 or shapes[0][-1:] != (count,):
+        raise ValueError(
+            f"motion: expected q, qd and qdd of one shape (..., {count}), got"
+            f" {', '.join(map(str, shapes))}"
+        )
+    dtype = jnp.result_type(*motion)
+    if not jnp.issubdtype(dtype, jnp.floating):
+        dtype = jnp.result_type(float)
+    return tuple(x.astype(dtype) for x in motion)
 
 
 @eqx.filter_jit
@@ -307,10 +312,6 @@ def subnetwork_masks(
     )
 
 
-def _motion(patterns: Any) -> tuple[Float[Array | np.ndarray, "..."], ...]:
-    return tuple(getattr(patterns, name) for name in ("q", "qd", "qdd"))
-
-
 def _linked(table: ProductTable) -> tuple[list[tuple[int, ...]], Links]:
     """The nodes of a table that have links, and the links: one for each weight of each link."""
     nodes = sorted({link.column for link in table.links})
@@ -375,18 +376,11 @@ class RegressorInputs(eqx.Module):
     network: AbstractLinearNetwork
 
     def __call__(self, patterns: Any) -> Signals:
-        names = ("q", "qd", "qdd")
-        motion = patterns if isinstance(patterns, tuple) else [getattr(patterns, x) for x in names]
-        arrays = [jnp.asarray(x, float) for x in motion]
-        shapes, count = [x.shape for x in arrays], self.network.motion_count
-        if len(arrays) != 3 or len(set(shapes)) != 1 or shapes[0][-1:] != (count,):
-            raise ValueError(
-                f"motion: expected q, qd and qdd of one shape (..., {count}), got"
-                f" {', '.join(map(str, shapes))}"
-            )
-        rows = self.network.columns(*(x.reshape(-1, count).T for x in arrays))
+        count = self.network.motion_count
+        q, qd, qdd = (x.astype(float) for x in _motion(patterns, count))
+        rows = self.network.columns(*(x.reshape(-1, count).T for x in (q, qd, qdd)))
         inputs = jnp.concatenate(rows)
-        return Signals((inputs.reshape(-1, *shapes[0][:-1]),), ((),))
+        return Signals((inputs.reshape(-1, *q.shape[:-1]),), ((),))
 
 
 def linear_combiner(network: AbstractLinearNetwork) -> AdaptiveNetwork:

@@ -34,7 +34,7 @@ from jaxcslc.training import (
     normal_equations,
     train,
 )
-from jaxcslc.training._examples import reach
+from jaxcslc.training._network import reaching_weights
 
 
 PATTERNS = 6
@@ -183,11 +183,11 @@ def test_frozen_layers(frozen: str, still: Any, numbers: Numbers) -> None:
 
 def test_weights_that_reach_an_output(numbers: Numbers) -> None:
     """Those of both factors; as the derivative says."""
-    assert reach(network()) == (tuple(range(15)),)
+    assert reaching_weights(network()) == (tuple(range(15)),)
     values, weights = Layer(Links(2, 2, [0, 1], [0, 1], [0, 1])), Layer(Links.full(1, 2, first=2))
     part = Subnetwork("s", (values,), (ContextLayer(2, 2, 2, (0, 1), (0, 1), (0, 1), (weights,)),))
     two = AdaptiveNetwork((part,), split_in_two, LINEAR_COMBINER, tuple("abcd"))
-    assert reach(two) == ((0, 2), (1, 3))
+    assert reaching_weights(two) == ((0, 2), (1, 3))
     k, x = numbers[0][:4], jnp.ones(3)
     assert_array_equal(
         np.asarray(jax.jacobian(two.outputs)(k, x)) != 0, [[1, 0, 1, 0], [0, 1, 0, 1]]

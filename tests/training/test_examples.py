@@ -24,7 +24,8 @@ from jaxcslc.training import (
     inverse_dynamics,
     mean_modulus,
 )
-from jaxcslc.training._examples import covered, reach
+from jaxcslc.training._examples import covered
+from jaxcslc.training._network import reaching_weights
 
 
 def motion(rng: np.random.Generator, samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -56,10 +57,10 @@ def test_condensed_totals_are_the_network_s(puma: CSLC, rng: np.random.Generator
     k = jnp.asarray(rng.normal(size=puma.size))
     expected = puma.torque(k, *patterns).T
     assert_allclose(training_set.totals(network, k), expected, rtol=1e-10, atol=1e-10)
-    assert reach(network) == puma.support
+    assert reaching_weights(network) == puma.support
     regressor = np.asarray(puma.regressor(*patterns))
     for joint, (support, rows) in enumerate(
-        zip(reach(network), training_set.condensed, strict=True)
+        zip(reaching_weights(network), training_set.condensed, strict=True)
     ):
         assert_allclose(rows, regressor[:, joint, list(support)].T, rtol=1e-10, atol=1e-12)
 
@@ -81,7 +82,7 @@ def test_reach_goes_through_layers() -> None:
         return Signals((jnp.asarray(patterns).T,), ((),))
 
     network = AdaptiveNetwork((part,), signals, LINEAR_COMBINER, tuple("abcde"))
-    assert reach(network) == ((0, 3), (1, 4))
+    assert reaching_weights(network) == ((0, 3), (1, 4))
     # Weight 2's node leads nowhere.
     x = network.signals(np.ones((4, 2)))
     assert covered(network, x, jnp.ones((2, 4))).tolist() == [True, True, False, True, True]
@@ -140,7 +141,7 @@ def test_masks_that_leave_a_coefficient_without_data(puma: CSLC, rng: np.random.
         ("linear combiner", np.inf, "is inf, expected a finite number or a mask"),
     ],
 )
-def test_targets_out_of_reach(kind: str, value: float, said: str) -> None:
+def test_targets_out_of_reaching_weights(kind: str, value: float, said: str) -> None:
     network = fully_connected([2, 2], kind)
     x, t = np.ones((4, 2)), np.zeros((4, 2))
     t[2, 1] = value

@@ -26,6 +26,22 @@ LOAD, DIRECTIONAL_LOAD = "load", "directional_load"
 """The kinds of friction that grows with the load, in a robot's friction model."""
 
 
+Formula = Callable[[AbstractFunctions, Any, Any, Any], tuple[Any, ...]]
+
+
+def _by_direction(functions: AbstractFunctions, x: Any) -> tuple[Any, ...]:
+    return functions.positive(x), functions.negative(x)
+
+
+def _directional_load(
+    functions: AbstractFunctions, q: Any, qd: Any, torque: Any
+) -> tuple[Any, ...]:
+    del q
+    sign = functions.sign(qd)
+    power = sign * torque
+    return sign * functions.positive(power), -sign * functions.negative(power)
+
+
 class LawProperties(NamedTuple):
     """A row of the table of joint laws: names, meaning, units and formula.
 
@@ -48,71 +64,11 @@ class LawProperties(NamedTuple):
     symbols: tuple[str, ...]
     descriptions: tuple[str, ...]
     units: tuple[str, str]
-    formula: Callable[[AbstractFunctions, Any, Any, Any], tuple[Any, ...]]
+    formula: Formula
     needs: str = ""
     positive: bool = True
     part: str = "friction"
     directions: tuple[str, ...] = ()
-
-
-def _viscous(functions: AbstractFunctions, q: Any, qd: Any, _: Any) -> tuple[Any, ...]:
-    del functions, q
-    return (qd,)
-
-
-def _asymmetric_viscous(functions: AbstractFunctions, q: Any, qd: Any, _: Any) -> tuple[Any, ...]:
-    del q
-    return functions.positive(qd), functions.negative(qd)
-
-
-def _dry(functions: AbstractFunctions, q: Any, qd: Any, _: Any) -> tuple[Any, ...]:
-    del q
-    return (functions.sign(qd),)
-
-
-def _asymmetric_dry(functions: AbstractFunctions, q: Any, qd: Any, _: Any) -> tuple[Any, ...]:
-    del q
-    sign = functions.sign(qd)
-    return functions.positive(sign), functions.negative(sign)
-
-
-def _static(functions: AbstractFunctions, q: Any, qd: Any, slope: Any) -> tuple[Any, ...]:
-    del q
-    return (functions.sign(qd) * functions.exp(-(functions.absolute(qd) * slope)),)
-
-
-def _root(functions: AbstractFunctions, q: Any, qd: Any, _: Any) -> tuple[Any, ...]:
-    del q
-    return (functions.sign(qd) * functions.sqrt(functions.absolute(qd)),)
-
-
-def _quadratic(functions: AbstractFunctions, q: Any, qd: Any, _: Any) -> tuple[Any, ...]:
-    del q
-    return (qd * functions.absolute(qd),)
-
-
-def _offset(functions: AbstractFunctions, q: Any, qd: Any, _: Any) -> tuple[Any, ...]:
-    del q
-    return (functions.constant(1.0, qd),)
-
-
-def _spring(functions: AbstractFunctions, q: Any, qd: Any, _: Any) -> tuple[Any, ...]:
-    del functions, qd
-    return (q,)
-
-
-def _load(functions: AbstractFunctions, q: Any, qd: Any, torque: Any) -> tuple[Any, ...]:
-    del q
-    return (functions.sign(qd) * functions.absolute(torque),)
-
-
-def _directional_load(
-    functions: AbstractFunctions, q: Any, qd: Any, torque: Any
-) -> tuple[Any, ...]:
-    del q
-    sign = functions.sign(qd)
-    power = sign * torque
-    return sign * functions.positive(power), -sign * functions.negative(power)
 
 
 _TORQUE, _BOTH_WAYS = ("N m", "N"), ("forwards", "backwards")
@@ -123,23 +79,25 @@ _LOADED = "friction of joint {} in proportion to its load"
 # friction is what is left beyond dry: their coefficients may have either sign.
 _ROWS = (
     # Friction in proportion to velocity (Eqn. 2.5-3), and for either direction (Fig. 8.2-2).
-    LawProperties("viscous", ("kv",), (_VISCOUS,), ("N m s/rad", "N s/m"), _viscous),
+    LawProperties(
+        "viscous", ("kv",), (_VISCOUS,), ("N m s/rad", "N s/m"), lambda f, q, qd, _: (qd,)
+    ),
     LawProperties(
         "asymmetric_viscous",
         ("kvp", "kvn"),
         tuple(f"{_VISCOUS}, {way}" for way in _BOTH_WAYS),
         ("N m s/rad", "N s/m"),
-        _asymmetric_viscous,
+        lambda f, q, qd, _: _by_direction(f, qd),
         directions=_BOTH_WAYS,
     ),
     # Coulomb friction, in proportion to the sign of velocity (Eqn. 2.5-3).
-    LawProperties("dry", ("kd",), (_DRY,), _TORQUE, _dry),
+    LawProperties("dry", ("kd",), (_DRY,), _TORQUE, lambda f, q, qd, _: (f.sign(qd),)),
     LawProperties(
         "asymmetric_dry",
         ("kdp", "kdn"),
         tuple(f"{_DRY}, {way}" for way in _BOTH_WAYS),
         _TORQUE,
-        _asymmetric_dry,
+        lambda f, q, qd, _: _by_direction(f, f.sign(qd)),
         directions=_BOTH_WAYS,
     ),
     # Static friction beyond dry friction, sign(qd) exp(-slope |qd|) (Eqn. 2.5-4, Fig. 8.2-1).
@@ -148,7 +106,7 @@ _ROWS = (
         ("ks",),
         ("static friction of joint {} beyond dry",),
         _TORQUE,
-        _static,
+        lambda f, q, qd, slope: (f.sign(qd) * f.exp(-(f.absolute(qd) * slope)),),
         needs="slope",
         positive=False,
     ),
@@ -157,7 +115,7 @@ _ROWS = (
         ("kr",),
         ("friction of joint {} with the root of its speed",),
         ("N m (s/rad)^0.5", "N (s/m)^0.5"),
-        _root,
+        lambda f, q, qd, _: (f.sign(qd) * f.sqrt(f.absolute(qd)),),
         positive=False,
     ),
     # Fans, seals in oil, fluid in hoses.
@@ -166,18 +124,36 @@ _ROWS = (
         ("kq",),
         ("friction of joint {} with the square of its speed",),
         ("N m (s/rad)^2", "N (s/m)^2"),
-        _quadratic,
+        lambda f, q, qd, _: (qd * f.absolute(qd),),
         positive=False,
     ),
     LawProperties(
-        "offset", ("ko",), ("torque offset of joint {}",), _TORQUE, _offset, positive=False
+        "offset",
+        ("ko",),
+        ("torque offset of joint {}",),
+        _TORQUE,
+        lambda f, q, qd, _: (f.constant(1.0, qd),),
+        positive=False,
     ),
     LawProperties(
-        "spring", ("ke",), ("stiffness of joint {}",), ("N m/rad", "N/m"), _spring, part="spring"
+        "spring",
+        ("ke",),
+        ("stiffness of joint {}",),
+        ("N m/rad", "N/m"),
+        lambda f, q, qd, _: (q,),
+        part="spring",
     ),
     # Coulomb friction that grows with the load of the gears, alike or different for motion with the
     # rigid torque, which drives, and motion against it, which brakes.
-    LawProperties(LOAD, ("kl",), (_LOADED,), ("1", "1"), _load, needs="torque", part=LOAD),
+    LawProperties(
+        LOAD,
+        ("kl",),
+        (_LOADED,),
+        ("1", "1"),
+        lambda f, q, qd, torque: (f.sign(qd) * f.absolute(torque),),
+        needs="torque",
+        part=LOAD,
+    ),
     LawProperties(
         DIRECTIONAL_LOAD,
         ("kld", "klb"),
