@@ -5,7 +5,6 @@
 """
 
 from functools import partial
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -205,12 +204,7 @@ def epoch(
     assessed = _assessed(
         plan, state, preference, cost, measure, stop_cost, stop_set is not None, rule
     )
-    # A look has computed the change of the rule that it prefers, of weights as they were.
-    known = None
-    if preference.change is not None:
-        same = jnp.all(assessed.weights == state.weights)
-        known = preference.change, preference.looked & same
-    weights, rates = _learnt(network, plan, training_set, assessed, known, rule)
+    weights, rates = _learnt(network, plan, training_set, assessed, rule)
     moved = eqx.tree_at(
         lambda s: (s.weights, s.rates, s.epoch),
         assessed,
@@ -231,23 +225,8 @@ def epoch(
     return next_state, record
 
 
-# The change of weights by the rule that learns, and whether it is that of the present weights.
-_Known = tuple[Array, Array]
-
-
-class _Preference(NamedTuple):
-    """The rule to go on with, and what a look has found of it.
-
-    - `rates`: of all rules.
-    - `change`: of the weights by the rule, at a rate of one; of any value without a look, and None
-      without a switch.
-    - `looked`: whether there was a look.
-    """
-
-    rule: Int[Array, ""]
-    rates: Float[Array, "rules groups"]
-    change: Float[Array, "groups weights"] | None
-    looked: Bool[Array, ""] | bool
+# The rule to go on with, and the rates of all rules.
+_Preference = tuple[Int[Array, ""], Float[Array, "rules groups"]]
 
 
 def _preference(
@@ -257,34 +236,23 @@ def _preference(
     state: TrainingState,
 ) -> _Preference:
     """The rule that the schedule's switch prefers, and rates for it; without one, the present."""
-    switch = plan.schedule.switch
+    switch, present = plan.schedule.switch, (state.turn.rule, state.rates)
     if switch is None:
-        return _Preference(state.turn.rule, state.rates, None, False)
+        return present
     assert isinstance(training_set, Examples), "checked by `train`"
-    learning = plan.learning(network)
 
-    def look() -> tuple[Array, Array, Array]:
-        promised = promise(
-            network, plan.schedule.rules, training_set, state.weights, state.rates, learning
-        )
-        rule = switch.preferred(state.turn.rule, promised.gains)
+    def look() -> _Preference:
+        gains, best = promise(network, plan, training_set, state.weights, state.rates)
+        rule = switch.preferred(state.turn.rule, gains)
         rows = [
-            jnp.where(
-                (rule == number) & (rule != state.turn.rule), rates.taking_over(*pair), pair[0]
-            )
-            for number, (rates, *pair) in enumerate(
-                zip(plan.rule_rates, state.rates, promised.rates, strict=True)
+            jnp.where((rule == at) & (rule != state.turn.rule), rates.taking_over(*pair), pair[0])
+            for at, (rates, *pair) in enumerate(
+                zip(plan.rule_rates, state.rates, best, strict=True)
             )
         ]
-        return rule, jnp.stack(rows), promised.changes[rule]
+        return rule, jnp.stack(rows)
 
-    def no_look() -> tuple[Array, Array, Array]:
-        change = jnp.zeros((len(learning), network.size), state.weights.dtype)
-        return state.turn.rule, state.rates, change
-
-    looked = state.turn.wait == 0
-    rule, rates, change = jax.lax.cond(looked, look, no_look)
-    return _Preference(rule, rates, change, looked)
+    return jax.lax.cond(state.turn.wait == 0, look, lambda: present)
 
 
 def _assessed(
@@ -298,7 +266,7 @@ def _assessed(
     commanded_rule: int | None,
 ) -> TrainingState:
     """The state with the cost of its weights known, whose turn it is, and whether it ended."""
-    rule, rates = preference.rule, preference.rates
+    rule, rates = preference
     first = state.epoch == 0
     first_cost = jnp.where(first, cost, state.first_cost)
     new_lowest = cost < state.lowest
@@ -350,7 +318,6 @@ def _learnt(
     plan: Plan,
     training_set: Examples | NormalEquations,
     state: TrainingState,
-    known: _Known | None,
     commanded_rule: int | None,
 ) -> tuple[Float[Array, " weights"], Float[Array, " groups"]]:
     """The weights after the epoch, and the rates that led to them."""
@@ -360,15 +327,7 @@ def _learnt(
         """An epoch of one rule at the rates that serve best."""
         rule = plan.schedule.rules[number]
         if plan.order == "batch":
-
-            def computed() -> Array:
-                return training_set.change(network, rule, weights, learning)
-
-            if known is None:
-                change = computed()
-            else:
-                found, holds = known
-                change = jax.lax.cond(holds, lambda: found, computed)
+            change = training_set.change(network, rule, weights, learning)
 
             def after(trial: Array) -> Array:
                 return weights + trial @ change

@@ -6,7 +6,7 @@ fixed or adapted (6.3.1).
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -171,7 +171,7 @@ class SwitchWhen(eqx.Module):
     **Attributes**
 
     - `every`: epochs to the next look after the first, and after a change of turn. A look costs
-      about an epoch of each other rule, and each that changes nothing doubles the time to the next.
+      about an epoch of each rule, and each that changes nothing doubles the time to the next.
     - `margin`: how many times the gain of the present rule another one must promise, both divided
       by the duration of an epoch; above one, so that turns do not change for nothing.
     - `durations`: of an epoch of each rule, in proportion; equal if omitted.
@@ -214,43 +214,32 @@ class SwitchWhen(eqx.Module):
         return jnp.where(worth[best] > self.margin * worth[present], best, present)
 
 
-class Promise(NamedTuple):
-    """Promise of an epoch of every rule.
-
-    - `gains`: the part of the sum of squared errors that it would remove, 0 to 1.
-    - `rates`: at which it would.
-    - `changes`: of the weights, at a rate of one.
-    """
-
-    gains: Float[Array, " rules"]
-    rates: Float[Array, "rules groups"]
-    changes: Float[Array, "rules groups weights"]
-
-
 def promise(
     network: AdaptiveNetwork,
-    rules: tuple[AbstractRule, ...],
+    plan: "Plan",
     training_set: Examples,
     weights: Float[Array, " weights"],
     rates: Float[Array, "rules groups"],
-    learning: tuple[bool, ...],
-) -> Promise:
-    """Gains of all rules, with rates in their present proportion."""
-    errors = training_set.errors(network, weights)
+) -> tuple[Float[Array, " rules"], Float[Array, "rules groups"]]:
+    """Return what an epoch of every rule promises, with rates in their present proportion.
+
+    It is the part of the sum of squared errors that the epoch would remove, 0 to 1, and the rates
+    at which it would.
+    """
+    errors, learning = training_set.errors(network, weights), plan.learning(network)
 
     def outputs(w: Array) -> Array:
         return network.activation.value(training_set.totals(network, w)) * training_set.counts
 
     gains: list[Array] = []
     best: list[Array] = []
-    changes: list[Array] = []
-    for rule, own_rates in zip(rules, rates, strict=True):
-        changes.append(training_set.change(network, rule, weights, learning))
-        _, moved = jax.jvp(outputs, (weights,), (own_rates @ changes[-1],))
+    for rule, own_rates in zip(plan.schedule.rules, rates, strict=True):
+        change = training_set.change(network, rule, weights, learning)
+        _, moved = jax.jvp(outputs, (weights,), (own_rates @ change,))
         gain, multiple = line_gain(errors, moved)
         gains.append(gain)
         best.append(jnp.where(gain > 0.0, multiple, 1.0) * own_rates)
-    return Promise(jnp.stack(gains), jnp.stack(best), jnp.stack(changes))
+    return jnp.stack(gains), jnp.stack(best)
 
 
 def line_gain(

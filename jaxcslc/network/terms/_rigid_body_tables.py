@@ -34,12 +34,7 @@ class ClosedForm(AbstractExpressedBodies):
     torques that an off-diagonal element of the mass matrix enters.
     """
 
-    def __init__(self, motion: Motion, tables: Any) -> None:
-        """
-        - `motion`: of the joints.
-        - `tables`: what has `ring`, `mass`, `velocity` and `gravity`: an `Algebra`, or a term made
-          from it.
-        """
+    def __init__(self, motion: Motion, tables: Algebra) -> None:
         self.motion, self._tables = motion, tables
         graph = motion.graph
 
@@ -193,24 +188,13 @@ class RigidBodyTables(AbstractRigidBody):
     there is.
     """
 
-    mass: ProductTable = eqx.field(static=True)
-    velocity: ProductTable = eqx.field(static=True)
-    gravity: ProductTable = eqx.field(static=True)
-    ring: PositionRing = eqx.field(static=True)
+    algebra: Algebra = eqx.field(static=True)
     coefficients: tuple[Coefficient, ...] = eqx.field(static=True)
-    joint_count: int = eqx.field(static=True)
     kind: str = eqx.field(static=True, default="rigid_body")
 
     @classmethod
     def from_algebra(cls, algebra: Algebra) -> "RigidBodyTables":
-        return cls(
-            mass=algebra.mass,
-            velocity=algebra.velocity,
-            gravity=algebra.gravity,
-            ring=algebra.ring,
-            coefficients=algebra.coefficients,
-            joint_count=algebra.robot.joint_count,
-        )
+        return cls(algebra=algebra, coefficients=algebra.coefficients)
 
     @property
     def has_tables(self) -> bool:
@@ -218,16 +202,16 @@ class RigidBodyTables(AbstractRigidBody):
 
     @property
     def support(self) -> tuple[tuple[int, ...], ...]:
-        return _support(self.mass, self.velocity, self.gravity, self.joint_count)
+        return _support(self.algebra)
 
     def expressed(self, motion: Motion) -> ClosedForm:
-        return ClosedForm(motion, self)
+        return ClosedForm(motion, self.algebra)
 
     def christoffel_symbols(
         self, k: Float[Array, " coefficients"], q: Float[Array, "*batch joints"]
     ) -> dict[tuple[int, ...], Samples]:
         """The symbols c_ijk, j <= k, that are not identically zero (Eqn. 2.4-5)."""
-        motion = Motion(self.joint_count)
+        motion = Motion(q.shape[-1])
         symbols = self.expressed(motion).christoffel_symbols(motion.graph.inputs("k", self.size))
         symbols_code = StraightLine(motion, tuple(symbols.values()))
         return dict(zip(symbols, motion_outputs(symbols_code, k, by_joint(q)), strict=True))
@@ -248,13 +232,12 @@ class RigidBodyTables(AbstractRigidBody):
         return motion_outputs(code(self, quantity), k, *motion, stage=None)
 
 
-@lru_cache(maxsize=64)  # tables are compared by identity
-def _support(
-    mass: ProductTable, velocity: ProductTable, gravity: ProductTable, joints: int
-) -> tuple[tuple[int, ...], ...]:
+@lru_cache(maxsize=64)
+def _support(algebra: Algebra) -> tuple[tuple[int, ...], ...]:
     """Return, for each joint, the coefficients of the elements that enter its torque."""
-    reach: list[set[int]] = [set() for _ in range(joints)]
-    for table, outputs in ((mass, 2), (velocity, 1), (gravity, 1)):
+    reach: list[set[int]] = [set() for _ in range(algebra.robot.joint_count)]
+    tables = algebra.mass, algebra.velocity, algebra.gravity
+    for table, outputs in zip(tables, (2, 1, 1), strict=True):
         for link in table.links:
             for joint in table.columns[link.column][:outputs]:
                 reach[joint] |= {coefficient for coefficient, _ in link.weights}
