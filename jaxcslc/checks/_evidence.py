@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from functools import cached_property
 from operator import itemgetter
@@ -27,6 +28,7 @@ from ..recordings import (
     Patterns,
     Preparation,
     Recording,
+    RecordingError,
     joined_patterns,
     noise_level,
     resample,
@@ -36,6 +38,8 @@ from ..recordings import (
 
 # A joint follows the file's torque well from this part of the variance on.
 WELL = 0.5
+# Median intervals from which on what lies between two samples is not interpolated: a gap.
+_GAP = 5.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -306,15 +310,25 @@ def _window(
 def _uniform(
     recording: Recording, valid: Bool[np.ndarray, "samples joints"]
 ) -> tuple[Recording, Bool[np.ndarray, "remaining joints"]]:
-    """Bring a recording to even times, without what lies in gaps."""
+    """Bring a recording to even times, without what lies in gaps.
+
+    Of a recording that is mostly gaps, the longest part without one.
+    """
     with contextlib.suppress(ValueError):
         uniform_interval(recording.time)
         return recording, valid
     interval = float(np.median(np.diff(recording.time)))
-    uniform = resample(recording, interval)
+    try:
+        uniform = resample(recording, interval)
+    except RecordingError:
+        ends = np.flatnonzero(np.diff(recording.time) >= _GAP * interval) + 1
+        parts = itertools.pairwise([0, *ends.tolist(), recording.samples])
+        longest = slice(*max(parts, key=lambda part: part[1] - part[0]))
+        recording, valid = recording.rows(longest), valid[longest]
+        uniform = resample(recording, interval)
     nearest = np.clip(np.searchsorted(recording.time, uniform.time), 1, recording.samples - 1)
     before, after = recording.time[nearest - 1], recording.time[nearest]
-    near = (after - before) < 5.0 * interval
+    near = (after - before) < _GAP * interval
     return uniform, valid[nearest] & valid[nearest - 1] & near[:, None]
 
 

@@ -69,7 +69,7 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         ),
         "gap: long": (
             "the recorder stopped or rows were deleted",
-            "--between {start:.4g},{end:.4g} takes the longer part alone",
+            "--between {start:.12g},{end:.12g} takes the longer part alone",
         ),
         "gap: rows": (
             "rows were lost",

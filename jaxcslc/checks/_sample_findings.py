@@ -64,6 +64,7 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
     time = recording.time - recording.time[0]
     intervals = np.diff(time)
     interval = float(np.median(intervals))
+    moments = np.round(time, 3)  # as they are printed: to the millisecond
     early, late = (float(np.median(half)) for half in np.array_split(intervals, 2))
     if not 1 / OTHER_RATE < late / early < OTHER_RATE:
         rates = f"{1 / early:.4g} samples a second in its first half, {1 / late:.4g} in its second"
@@ -71,11 +72,11 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
         return
     gaps = np.flatnonzero(intervals > _GAP * interval)
     for gap in gaps[np.argsort(-intervals[gaps])][:3]:
-        sides = (0.0, time[gap]), (time[gap + 1], time[-1])
+        sides = (0.0, moments[gap]), (moments[gap + 1], moments[-1])
         start, end = max(sides, key=lambda side: side[1] - side[0])
         yield finding(
             "gap: long",
-            f"no samples from {time[gap]:.4g} s to {time[gap + 1]:.4g} s, where they are"
+            f"no samples from {moments[gap]:.12g} s to {moments[gap + 1]:.12g} s, where they are"
             f" {1e3 * interval:.4g} ms apart otherwise; filters need even times and are not used,"
             " and smoothing runs across the gap",
             start=start,

@@ -65,6 +65,9 @@ def align_torque(torque: Signals, alignment: TorqueAlignment) -> Signals:
 
 
 _MOST_PERIODS = 1e9  # of a recording: eleven days at 1 kHz
+# Part of its time that a recording's samples cover at least: a bound of what is filled in between
+# them, so that one wrong time stamp cannot ask for all memory.
+_LEAST_COVERED = 0.1
 
 DETERMINED_TO = 0.1
 """An interval is determined by the motion if its standard deviation is below this part of a period:
@@ -94,7 +97,8 @@ def resample(
     **Raises**
 
     - `ValueError`: an interval that is not positive.
-    - `RecordingError`: too few samples are left.
+    - `RecordingError`: too few samples are left, or gaps are nine tenths of the time: cut them
+      off with `Recording.between`.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import Recording, resample
@@ -109,6 +113,15 @@ def resample(
         raise ValueError(f"resampling interval is {interval} s; expected more than 0")
     fresh = without_stale_rows(recording) if drop_stale else recording
     start, end = fresh.time[0], fresh.time[-1]
+    intervals = np.diff(fresh.time)
+    covered = float(np.median(intervals)) * intervals.size / (end - start)
+    if covered < _LEAST_COVERED:
+        gap = int(np.argmax(intervals))
+        raise RecordingError(
+            f"samples cover {covered:.2g} of the time from {start:g} s to {end:g} s, with no sample"
+            f" between {fresh.time[gap]:g} s and {fresh.time[gap + 1]:g} s; expected"
+            f" {_LEAST_COVERED:g} or more: cut the recording at its gaps (`between`)"
+        )
     # The last sample is kept where it falls on the new grid but for rounding.
     time = start + interval * np.arange(int(np.floor((end - start) / interval + 1e-6)) + 1)
     at = np.minimum(time, end)

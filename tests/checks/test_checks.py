@@ -1,6 +1,8 @@
 """Checks of recordings: each way to spoil one is named, a clean one is left alone."""
 
 import dataclasses
+import re
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -392,3 +394,17 @@ def test_the_command_and_limits_of_a_urdf(tmp_path: Path) -> None:
         "identify", robot, log, "-o", tmp_path / "out", "--no-systematic", "--torque-lag", "0.04"
     )
     assert "torque lag 40 ms" in mended.output and "torques fit" not in mended.output
+
+
+def test_one_wrong_time_stamp_takes_no_memory(arm: jc.CSLC, clean: jc.Recording) -> None:
+    """Nothing is filled in between the epoch and today; the longest part is checked instead."""
+    epoch = 1.7e9 + clean.time
+    epoch[0] = 0.0
+    tracemalloc.start()
+    findings = jc.check(arm, changed(clean, time=epoch)).findings
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert [finding.kind for finding in findings] == ["gap"]
+    start, end = (float(x) for x in re.findall(r"--between (\S+),(\S+) ", findings[0].remedy)[0])
+    assert start <= epoch[1] < epoch[-1] - 1e-3 < end
+    assert peak < 1e8

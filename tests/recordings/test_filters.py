@@ -243,3 +243,11 @@ def test_decimation_follows_from_the_cutoff() -> None:
             cutoff=5.0,
             decimation=0,
         )
+
+
+def test_a_wrong_time_stamp_is_refused_before_anything_is_filled_in() -> None:
+    time = np.arange(100) * 0.002
+    time[1:] += 1.7e9
+    position = np.sin(np.arange(100.0))[:, None]
+    with pytest.raises(RecordingError, match=r"no sample between 0 s and 1\.7e\+09 s; .*between"):
+        resample(Recording(time, position, position))

@@ -1,6 +1,8 @@
 """Tables that other software wrote: layouts of robots' logs, units, comments, time stamps."""
 
 import decimal
+import io
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -278,4 +280,15 @@ class TestNumpy:
         with path.open("wb") as file:
             np.save(file, np.zeros(3))
         with pytest.raises(RecordingError, match=r"holds one array; expected an \.npz"):
+            load_recording(path)
+
+    def test_an_array_that_claims_more_than_the_file_holds(self, tmp_path: Path) -> None:
+        """A header of 10¹⁵ numbers before a few bytes takes no memory."""
+        header = io.BytesIO()
+        claimed = {"descr": "<f8", "fortran_order": False, "shape": (10**15,)}
+        np.lib.format.write_array_header_1_0(header, claimed)
+        path = tmp_path / "motion.npz"
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("time.npy", header.getvalue() + bytes(80))
+        with pytest.raises(RecordingError, match=r"time\.npy claims 8e\+15 bytes, .* 208 at most"):
             load_recording(path)

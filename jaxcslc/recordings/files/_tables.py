@@ -6,6 +6,7 @@ CSV, Parquet and NumPy's `.npz` are read here, bags of ROS in `_bag`. `open_tabl
 import contextlib
 import csv
 import itertools
+import math
 import re
 import struct
 import zipfile
@@ -239,6 +240,7 @@ def _read_npz(path: Path) -> tuple[Header, Columns]:
                     " torque"
                 )
             stack.enter_context(contextlib.closing(file))
+            _check_sizes(file.zip)
             arrays = {name: np.asarray(file[name]) for name in file.files}
     except (RecordingError, PermissionError):
         raise
@@ -257,6 +259,35 @@ def _read_npz(path: Path) -> tuple[Header, Columns]:
         raise RecordingError(f"{path}: has {listed}; expected arrays time, position and torque")
     names = arrays.get("joint_names")
     return Header(list(columns), None if names is None else tuple(map(str, names.ravel()))), columns
+
+
+# Bytes that one byte can stand for in a deflated file (zlib's documentation, 'Technical details').
+_MOST_DEFLATED = 1032
+
+
+def _check_sizes(archive: zipfile.ZipFile) -> None:
+    """Check that arrays are no larger than their members, before memory is taken for them.
+
+    **Raises** `ValueError` for an array that claims more.
+    """
+    for member in archive.infolist():
+        with archive.open(member) as stream:
+            if stream.read(len(np.lib.format.MAGIC_PREFIX)) != np.lib.format.MAGIC_PREFIX:
+                continue  # no array: NumPy gives its bytes
+            stream.seek(0)
+            version = np.lib.format.read_magic(stream)
+            if version == (1, 0):
+                shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+            elif version == (2, 0):
+                shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
+            else:  # of fields whose names are no Latin-1
+                raise ValueError(f"{member.filename} has fields; expected an array of numbers")
+        size = math.prod(shape) * dtype.itemsize
+        if size > min(member.file_size, _MOST_DEFLATED * member.compress_size):
+            raise ValueError(
+                f"{member.filename} claims {size:.3g} bytes, its part of the file holds"
+                f" {member.file_size:.3g} at most"
+            )
 
 
 def _array(column: pa.Array) -> np.ndarray:
