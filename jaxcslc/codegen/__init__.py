@@ -29,6 +29,9 @@ from ._c_text import (
     block_row as block_row,
     block_text as block_text,
     called_functions as called_functions,
+    comment_text as comment_text,
+    identifier as identifier,
+    is_identifier as is_identifier,
 )
 from ._compilation import by_platform as by_platform, in_blocks as in_blocks
 from ._cuda import Kernel as Kernel, assembly as assembly, kernels_run as kernels_run

@@ -1,5 +1,7 @@
-"""Text of C and CUDA C: statements that compute values of a graph, sines of rows of numbers."""
+"""Text of C and CUDA C: statements that compute values of a graph, sines of rows of numbers, names
+and comments made of texts of users."""
 
+import re
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from typing import NamedTuple
@@ -267,3 +269,35 @@ static void sines_and_cosines(const double* x, double* sines, double* cosines, i
     }
 }
 """
+
+
+_RESERVED = {
+    *("auto", "break", "case", "char", "const", "continue", "default", "do"),
+    *("double", "else", "enum", "extern", "float", "for", "goto", "if"),
+    *("inline", "int", "long", "register", "restrict", "return", "short", "signed"),
+    *("sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void"),
+    *("volatile", "while"),
+    "math",  # its header would stand before <math.h> where its folder is searched
+}
+
+
+def is_identifier(name: str) -> bool:
+    """Return whether a name is a C identifier that generated code can use."""
+    return bool(re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name)) and name not in _RESERVED
+
+
+def identifier(text: str) -> str:
+    """Return a C identifier that reads like a name: `puma_560` of `PUMA 560`."""
+    name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
+    return name if is_identifier(name) else f"robot_{name}".rstrip("_")
+
+
+def comment_text(text: str) -> str:
+    """Return a text of a user for a comment that it can neither end nor continue.
+
+    One line of printable ASCII; no `*/` and `/*`, no backslash, which joins lines, and no two
+    question marks, which begin trigraphs.
+    """
+    text = text.replace("²", "^2").replace("³", "^3").replace("\\", "/")
+    text = re.sub(r"[^ -~]", lambda found: " " if found[0].isspace() else "?", text)
+    return re.sub(r"\?(?=\?)", "? ", text.replace("*/", "* /").replace("/*", "/ *"))

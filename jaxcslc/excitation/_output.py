@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._scratch import unfinished
+from ..codegen import comment_text, identifier
 from ..instruments import link_poses
 from ..network import CSLC
 from ..report import (
@@ -370,11 +370,11 @@ _DERIVATIVES = ("positions", "velocities", "accelerations")
 
 def c_text(network: CSLC, time: Time, q: Samples) -> str:
     """Return positions as an array in C."""
-    name = re.sub(r"\W+", "_", network.robot.name).strip("_").lower() or "robot"
+    name = identifier(network.robot.name)
     rows = ",\n".join("    {" + ", ".join(f"{value:.9g}" for value in row) + "}" for row in q)
     samples, joints = q.shape
     return (
-        f"/* {network.robot.name.replace('*/', '')}: joint positions [rad or m] every"
+        f"/* {comment_text(network.robot.name)}: joint positions [rad or m] every"
         f" {1e3 * (time[1] - time[0]):.6g} ms. */\n"
         f"#define {name.upper()}_MOTION_SAMPLES {samples}\n"
         f"#define {name.upper()}_MOTION_INTERVAL {time[1] - time[0]:.9g}\n"

@@ -9,7 +9,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._scratch import unfinished
-from ..codegen import Expressions, KernelText, Motion, Value
+from ..codegen import (
+    Expressions,
+    KernelText,
+    Motion,
+    Value,
+    comment_text,
+    identifier,
+    is_identifier,
+)
 from ..friction import checked_distance, state_after
 from ..network import CSLC, ExpressionFunctions
 from ._rigid_body import RigidBodies, rigid_bodies
@@ -271,7 +279,7 @@ def source_file(
     lines += ["Coefficients, in the order of the regressor's columns:", ""]
     width = max(len(c.name) for c in network.coefficients)
     for c, value in zip(network.coefficients, k, strict=True):
-        lines.append(f"  {c.name:<{width}} = {value:.17g} {_plain(c.unit)}")
+        lines.append(f"  {c.name:<{width}} = {value:.17g} {comment_text(c.unit)}")
     lines += ["*/", "", "#include <math.h>", "", f'#include "{name}.h"', ""]
     lines += sorted({text for function in functions for text in _definitions(function.graph)})
     for function in functions:
@@ -323,7 +331,7 @@ def _about(network: CSLC) -> list[str]:
         for joint, kind in zip(_joint_names(network), network.joint_kinds, strict=True)
     )
     return [
-        f"Inverse dynamics of {_plain(robot.name)}, written by jaxcslc.",
+        f"Inverse dynamics of {comment_text(robot.name)}, written by jaxcslc.",
         "",
         *_wrapped(f"Joints, in order: {kinds}."),
         "Positions q, velocities qd [1/s] and accelerations qdd [1/s^2] of every joint.",
@@ -339,7 +347,7 @@ def _about_states(
         return []
     units = {"R": "rad", "P": "m"}
     listed = ", ".join(
-        f"{_plain(joint)} {length:.6g} {units[kind]}"
+        f"{comment_text(joint)} {length:.6g} {units[kind]}"
         for joint, kind, length in zip(
             network.output_names, network.joint_kinds, presliding_distance, strict=True
         )
@@ -358,14 +366,7 @@ def _about_states(
 
 
 def _joint_names(network: CSLC) -> list[str]:
-    return [_plain(label) for label in network.output_labels]
-
-
-def _plain(text: str) -> str:
-    """Return text for a comment: what would end it, or is not ASCII, is replaced."""
-    text = text.replace("²", "^2").replace("³", "^3").replace("*/", "* /").replace("\n", " ")
-    text = text.encode("ascii", "replace").decode().replace("/*", "/ *")
-    return re.sub(r"\?(?=\?)", "? ", text)  # of "???/", too, no trigraph is left
+    return [comment_text(label) for label in network.output_labels]
 
 
 def _wrapped(text: str) -> list[str]:
@@ -375,16 +376,6 @@ def _wrapped(text: str) -> list[str]:
             lines.append("")
         lines[-1] += f"{' ' if lines[-1] else ''}{word}"
     return lines
-
-
-_RESERVED = {
-    *("auto", "break", "case", "char", "const", "continue", "default", "do"),
-    *("double", "else", "enum", "extern", "float", "for", "goto", "if"),
-    *("inline", "int", "long", "register", "restrict", "return", "short", "signed"),
-    *("sizeof", "static", "struct", "switch", "typedef", "union", "unsigned", "void"),
-    *("volatile", "while"),
-    "math",  # its header would stand before <math.h> where its folder is searched
-}
 
 
 @dataclass(frozen=True)
@@ -473,7 +464,7 @@ def c_code(
             f"k: expected {network.size} finite coefficients, got an array of {values.shape}{kind}"
         )
     name = identifier(network.robot.name) if name is None else name
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or name in _RESERVED:
+    if not is_identifier(name):
         raise ValueError(f"name: expected a C identifier, got {name!r}")
     sizes = checked_distance(
         network,
@@ -488,12 +479,6 @@ def c_code(
     )
 
 
-def identifier(text: str) -> str:
-    """Return a C identifier that reads like a name: `puma_560` of `PUMA 560`."""
-    name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
-    return name if name[:1].isalpha() and name not in _RESERVED else f"robot_{name}".rstrip("_")
-
-
 def write_c(code: CCode, path: str | Path | None = None) -> tuple[Path, Path]:
     """Write C code as a source file and the header that it includes.
 
@@ -506,12 +491,17 @@ def write_c(code: CCode, path: str | Path | None = None) -> tuple[Path, Path]:
 
     **Raises**
 
-    - `ValueError`: a name that does not end in .c.
+    - `ValueError`: a name that does not end in .c, or that no `#include` can hold.
     - `OSError`: the files cannot be written.
     """
     source = Path(f"{code.name}.c" if path is None else path)
     if source.suffix != ".c":
         raise ValueError(f"{source}: expected a name ending in .c")
+    if not re.fullmatch(r"[\w.+\- ]+", source.name, re.ASCII):
+        raise ValueError(
+            f"{source}: C code includes its header by name: expected letters, digits,"
+            " '.', '_', '+', '-' and spaces"
+        )
     header = source.with_suffix(".h")
     # The source includes its header by name.
     text = code.source.replace(f'#include "{code.name}.h"', f'#include "{header.name}"')
