@@ -316,7 +316,7 @@ def _friction(
     tables: dict[str, np.ndarray] = {}
     for term in network.input_terms:
         table = tables.setdefault(term.keyword, np.zeros(term.value_shape))
-        table[term.value_index] = k[network.layout.of(term)]
+        table[term.value_index] = k[network.layout.term_slice(term)]
     return tables
 
 

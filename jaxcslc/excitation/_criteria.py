@@ -314,7 +314,7 @@ def wanted_indices(network: CSLC, names: Sequence[str] | None) -> Int[np.ndarray
         if name in layout.names:
             indices.add(layout.names.index(name))
         elif name in layout.kinds:
-            indices |= set(range(*layout.of(name).indices(layout.size)))
+            indices |= set(range(*layout.term_slice(name).indices(layout.size)))
         elif name in layout.groups:
             indices |= {i for i, x in enumerate(layout.coefficients) if x.group == name}
         else:

@@ -91,7 +91,7 @@ def without_jumps(
     """Return coefficients (p,) with zeros for friction that jumps where a joint reverses."""
     layout, smooth = network.layout, np.array(k, float)
     for kind in layout.kinds:
-        part = layout.of(kind)
+        part = layout.term_slice(kind)
         friction = np.isin(np.arange(layout.size)[part], layout.friction).any()
         if friction and kind not in _SMOOTH:
             smooth[part] = 0.0

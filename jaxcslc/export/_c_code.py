@@ -51,7 +51,7 @@ def input_inertias(
     """
     entries: list[tuple[int, int, float]] = []
     for term in network.input_terms:
-        total = np.tensordot(k[network.layout.of(term)], term.inertia_matrices, 1)
+        total = np.tensordot(k[network.layout.term_slice(term)], term.inertia_matrices, 1)
         entries += [
             (int(i), int(j), float(total[i, j]))
             for i, j in zip(*np.triu_indices(len(total)), strict=True)

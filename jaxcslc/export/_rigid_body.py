@@ -160,7 +160,7 @@ def _one_by_one(robot: Manipulator, motion: Motion) -> RecursiveBodies:
     unit = tuple(map(tuple, np.eye(size).tolist()))
     indices = tuple(tuple(range(size * i, size * (i + 1))) for i in range(n))
     motors = tuple((i, size * n + i) for i in range(n))
-    return RigidBodyRecursion.of_bodies(robot, (unit,) * n, indices, motors).expressed(motion)
+    return RigidBodyRecursion.from_bodies(robot, (unit,) * n, indices, motors).expressed(motion)
 
 
 def body_numbers(network: CSLC, k: Float[np.ndarray, " coefficients"]) -> list[float] | None:

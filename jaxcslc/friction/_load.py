@@ -143,7 +143,7 @@ def linearised(
     friction = np.zeros_like(motion[0].T)
     factors = np.zeros((2, network.joint_count))
     for term in terms:
-        magnitudes = k[network.layout.of(term)]
+        magnitudes = k[network.layout.term_slice(term)]
         factors += np.asarray(term.factors(jnp.asarray(magnitudes)))
         columns = dataclasses.replace(term, load=load).columns(*motion)
         for joint in term.joints:
@@ -182,7 +182,7 @@ def _impossible(network: CSLC, fit: Identification) -> dict[str, dict[int, str]]
     k, determined = np.asarray(fit.k), np.asarray(fit.determined)
     impossible: dict[str, dict[int, str]] = {}
     for term in network.load_terms:
-        part = network.layout.of(term)
+        part = network.layout.term_slice(term)
         for joint in term.joints:
             indices = part.start + np.array(term.support[joint])
             name, values = network.output_names[joint], k[indices]

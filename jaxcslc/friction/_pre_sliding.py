@@ -113,7 +113,7 @@ def split_friction(
     (n,) [N m or N], 0 of joints without a state, and distances to divide by (n,), 1 of such joints.
     """
     dry = dry_term(network)
-    part, joints = network.layout.of(dry), np.array(dry.joints)
+    part, joints = network.layout.term_slice(dry), np.array(dry.joints)
     presliding_distance = jnp.asarray(presliding_distance)
     yields = presliding_distance > 0.0
     sizes = jnp.zeros(network.joint_count, k.dtype).at[joints].set(k[part])

@@ -333,7 +333,7 @@ def _sum(network: CSLC, k: Array, motion: tuple[Array, ...], *, of_joints: bool)
     total = jnp.zeros_like(motion[0])
     for term in network.terms:
         if isinstance(term, JointTerm) == of_joints:
-            total = total + term.torque(k[network.layout.of(term)], *motion)
+            total = total + term.torque(k[network.layout.term_slice(term)], *motion)
     return total
 
 

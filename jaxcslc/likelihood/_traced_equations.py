@@ -79,7 +79,9 @@ class TracedEquations(eqx.Module):
         k, q, velocity, acceleration = map(jnp.asarray, (k, q, velocity, acceleration))
         for term in network.terms:
             if not isinstance(term, JointTerm):
-                total = total + term.torque(k[network.layout.of(term)], q, velocity, acceleration)
+                total = total + term.torque(
+                    k[network.layout.term_slice(term)], q, velocity, acceleration
+                )
         return total
 
     @eqx.filter_jit
@@ -107,7 +109,7 @@ class TracedEquations(eqx.Module):
             if not isinstance(term, JointTerm):
                 continue
             inputs = mean_inputs(term.law, *motion, share, turn, direction)
-            of_term = k[network.layout.of(term)].reshape(len(inputs), len(term.joints))
+            of_term = k[network.layout.term_slice(term)].reshape(len(inputs), len(term.joints))
             joints = np.array(term.joints)
             for values, of_joints in zip(inputs, of_term, strict=True):
                 total = total.at[:, joints].add(values[:, joints] * of_joints[None])

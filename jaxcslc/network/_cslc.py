@@ -50,7 +50,7 @@ def input_terms(
     last the friction that follows the torque of `rigid`, links and motors."""
     laws = [JOINT_LAWS[kind] for kind in robot.friction_terms]
     joint_terms = [JointTerm.of(law, robot) for law in laws if law.properties.needs != "torque"]
-    return (*joint_terms, *CoupledTerm.all_of(robot), *LoadFriction.all_of(robot, rigid))
+    return (*joint_terms, *CoupledTerm.from_robot(robot), *LoadFriction.from_robot(robot, rigid))
 
 
 class CSLC(AbstractLinearNetwork):
@@ -204,7 +204,7 @@ class CSLC(AbstractLinearNetwork):
         bias = self._sum(plain, k, lambda term, k: term.torque(k, q, qd, still), q.shape)
         mass = self.mass_matrix(k, q)
         for term in loads:
-            factors = term.factors(k[self.layout.of(term)])
+            factors = term.factors(k[self.layout.term_slice(term)])
             mass, bias = term.on_the_left(factors, q, qd, tau, mass, bias)
         return jnp.linalg.solve(mass, (tau - bias)[..., None])[..., 0]
 
@@ -340,7 +340,7 @@ class CSLC(AbstractLinearNetwork):
         >>> network.without_law("dry", (1, 2)).names[-4:]
         ('kd3', 'kd4', 'kd5', 'kd6')
         """
-        self.layout.of(kind)
+        self.layout.term_slice(kind)
         robot, independent = self.robot, self.robot.independent_joints
         for joint in joints:
             kinds = self.friction_per_joint[joint - 1]

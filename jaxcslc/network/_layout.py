@@ -172,7 +172,7 @@ class Layout:
 
     >>> import jaxcslc as jc
     >>> layout = jc.derive(jc.puma560()).layout
-    >>> layout.size, layout.inertial, layout.of("dry")
+    >>> layout.size, layout.inertial, layout.term_slice("dry")
     (43, slice(0, 31, None), slice(37, 43, None))
     >>> layout.indices("dry", "kM3").tolist()
     [2, 37, 38, 39, 40, 41, 42]
@@ -201,19 +201,21 @@ class Layout:
     @property
     def inertial(self) -> slice:
         """The inertial coefficients of the robot, without a payload's."""
-        return self.of("rigid_body")
+        return self.term_slice("rigid_body")
 
     @property
     def payload(self) -> slice:
         """The payload's ten; empty, at the end, without a payload."""
-        return self.of("payload") if "payload" in self.kinds else slice(self.size, self.size)
+        return (
+            self.term_slice("payload") if "payload" in self.kinds else slice(self.size, self.size)
+        )
 
     @property
     def unloaded(self) -> slice:
         """Coefficients of the same robot without a payload."""
         return slice(0, self.payload.start)
 
-    def of(self, term: AbstractTerm | str) -> slice:
+    def term_slice(self, term: AbstractTerm | str) -> slice:
         """The coefficients of a term, or of the term of a kind.
 
         **Raises** `ValueError` if there is no such term.
@@ -231,7 +233,7 @@ class Layout:
         selected = np.zeros(self.size, bool)
         for name in selection:
             if name in self.kinds:
-                selected[self.of(name)] = True
+                selected[self.term_slice(name)] = True
                 continue
             mask = np.array([name in (c.name, c.group) for c in self.coefficients], bool)
             if not mask.any():
@@ -249,7 +251,7 @@ class Layout:
         return tuple(k[..., part] for part in self.slices)
 
 
-def layout_of(terms: Iterable[AbstractTerm]) -> Layout:
+def term_layout(terms: Iterable[AbstractTerm]) -> Layout:
     """The layout of a sum of terms."""
     return _layout(tuple((term.kind, term.parts, term.coefficients) for term in terms))
 

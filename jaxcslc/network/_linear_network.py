@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from .._environment import array_namespace, require_float64
 from .._rank import numerical_rank
 from ..derivation import Coefficient
-from ._layout import Layout, layout_of
+from ._layout import Layout, term_layout
 from .terms import AbstractTerm
 
 
@@ -169,7 +169,7 @@ class AbstractLinearNetwork(eqx.Module):
     @cached_property
     def layout(self) -> Layout:
         """Assignment of the entries of `k` to terms and coefficients."""
-        return layout_of(self.terms)
+        return term_layout(self.terms)
 
     @property
     def coefficients(self) -> tuple[Coefficient, ...]:
@@ -299,7 +299,7 @@ class AbstractLinearNetwork(eqx.Module):
     ) -> Array:
         """The shares of terms, each of its own coefficients; zeros if there are none."""
         layout = self.layout
-        shares = [share(term, k[layout.of(term)]) for term in terms]
+        shares = [share(term, k[layout.term_slice(term)]) for term in terms]
         return sum(shares[1:], shares[0]) if shares else jnp.zeros(shape, k.dtype)
 
     def _checked(self, k: Any, *motion: Any) -> tuple[Array, ...]:

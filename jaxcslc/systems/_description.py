@@ -61,7 +61,7 @@ def unit_text(unit: Unit) -> str:
     return above if not below else f"{above or 1}/{below.replace(' ', '/')}"
 
 
-def product_of_units(factors: Sequence[tuple[str, int]]) -> str:
+def unit_product(factors: Sequence[tuple[str, int]]) -> str:
     """Return the unit of a product of quantities, each with its power.
 
     Angles are numbers: a radian is left out of products.
@@ -128,7 +128,7 @@ class Variable:
     @property
     def name(self) -> str:
         """Name of the symbol."""
-        return name_of(self.symbol)
+        return symbol_name(self.symbol)
 
     @property
     def column_name(self) -> str:
@@ -191,10 +191,10 @@ class Constant:
     @property
     def name(self) -> str:
         """Name of the symbol."""
-        return name_of(self.symbol)
+        return symbol_name(self.symbol)
 
 
-def name_of(symbol: Any) -> str:
+def symbol_name(symbol: Any) -> str:
     """Return the name of a SymPy symbol, or of a function of time."""
     return str(symbol.func.__name__ if getattr(symbol, "is_Function", False) else symbol)
 
@@ -242,7 +242,7 @@ class MotionSymbols:
         listed = ", ".join(self.variables) or "there are none"
         replaced: dict[Any, Any] = {}
         for derivative in sorted(expression.atoms(Derivative), key=str):
-            name, order = name_of(derivative.expr), derivative.derivative_count
+            name, order = symbol_name(derivative.expr), derivative.derivative_count
             if name not in self.variables or derivative.variables != derivative.expr.args * order:
                 raise DescriptionError(
                     f"{where}: {derivative} is no time derivative of a variable; expected one of"
@@ -259,12 +259,12 @@ class MotionSymbols:
         for named in (values, values | self.constants):
             atoms = expression.atoms(AppliedUndef) if named is values else expression.free_symbols
             unknown = sorted(atoms - set(self.motion.values()), key=str)
-            if missing := [atom for atom in unknown if name_of(atom) not in named]:
+            if missing := [atom for atom in unknown if symbol_name(atom) not in named]:
                 raise DescriptionError(
                     f"{where}: unknown name {str(missing[0])!r}; expected a variable"
                     f" ({listed}) or a constant"
                     f" ({', '.join(self.constants) or 'there are none'})"
                 )
-            expression = expression.xreplace({atom: named[name_of(atom)] for atom in unknown})
+            expression = expression.xreplace({atom: named[symbol_name(atom)] for atom in unknown})
         decimals = {x: Rational(repr(float(x))) for x in expression.atoms(Float)}
         return expression.xreplace(decimals)

@@ -19,7 +19,7 @@ from sympy.polys.fields import field
 from .._text_table import text_table
 from ..derivation import Basis, Coefficient, product_text, sum_text
 from ._constants import ConstantIdentifiability, determine_identifiability, independent
-from ._description import DescriptionError, product_of_units
+from ._description import DescriptionError, unit_product
 from ._generators import Generators
 
 
@@ -444,4 +444,4 @@ def _coefficient(
         if power != below
     ]
     sign = _sign(field, form)
-    return Coefficient(name, "system", text, product_of_units(powers), sign == 1)
+    return Coefficient(name, "system", text, unit_product(powers), sign == 1)

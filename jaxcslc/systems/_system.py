@@ -19,8 +19,8 @@ from ._description import (
     DescriptionError,
     MotionSymbols,
     Variable,
-    name_of,
     parse_unit,
+    symbol_name,
 )
 from ._separation import Separation, separate
 
@@ -60,14 +60,14 @@ def lagrange_equations(
     forces = dict(forces or {})
     lagrangian, dissipation = sympify(lagrangian), sympify(dissipation)
     if others := [force for force in forces if force not in coordinates]:
-        listed = ", ".join(map(name_of, coordinates))
+        listed = ", ".join(map(symbol_name, coordinates))
         raise DescriptionError(f"forces: {others[0]} is no coordinate; expected some of {listed}")
     equations: dict[str, Any] = {}
     for q in coordinates:
         (time,) = q.args
         rate = q.diff(time)
         inertia = lagrangian.diff(rate).diff(time) - lagrangian.diff(q) + dissipation.diff(rate)
-        equations[name_of(q)] = Eq(sympify(forces.get(q, 0)), inertia, evaluate=False)
+        equations[symbol_name(q)] = Eq(sympify(forces.get(q, 0)), inertia, evaluate=False)
     return equations
 
 
@@ -123,7 +123,7 @@ def mechanics_equations(method: Any) -> dict[str, Any]:
     equations: dict[str, Any] = {}
     for row, q in enumerate(coordinates):
         inertia = sum(mass[row, j].subs(replaced) * accelerations[j] for j in range(len(speeds)))
-        equations[name_of(q)] = Eq(0, inertia - forcing[row].subs(replaced), evaluate=False)
+        equations[symbol_name(q)] = Eq(0, inertia - forcing[row].subs(replaced), evaluate=False)
     return equations
 
 

@@ -67,7 +67,7 @@ def batched_by(
 _FEWEST_PATTERNS = 32
 
 
-def kernel_of(
+def rule_kernel(
     network: AdaptiveNetwork,
     rule: AbstractRule,
     learning: tuple[bool, ...],
@@ -82,7 +82,7 @@ def kernel_of(
     if not kernels_run():
         return None
     statements = rule_statements(network, rule, learning, by_subnetwork=by_subnetwork)
-    return statements if statements is not None and launch_of(statements, 2**20) else None
+    return statements if statements is not None and launch_layout(statements, 2**20) else None
 
 
 def summed_change(
@@ -100,18 +100,18 @@ def summed_change(
     nodes stay in registers; what is read of a pattern serves all trainings, and weights all
     patterns, so that hardly anything goes through memory.
     """
-    statements = kernel_of(network, rule, learning, by_subnetwork=counts.ndim == 3)
+    statements = rule_kernel(network, rule, learning, by_subnetwork=counts.ndim == 3)
 
     def change(weights: Array, signals: Signals, targets: Array, counts: Array) -> Array:
         return rule.change(network, weights, signals, targets, counts, learning)
 
     if statements is None:
         return change(weights, signals, targets, counts)
-    many = partial(change_of_many, statements)
+    many = partial(batched_changes, statements)
     return batched_by(change, many, 1)(weights, signals, targets, counts)
 
 
-def change_of_many(
+def batched_changes(
     statements: RuleStatements,
     weights: Float[Array, "trainings weights"],
     signals: Signals,
@@ -119,8 +119,8 @@ def change_of_many(
     counts: Counts,
 ) -> Float[Array, "trainings groups weights"]:
     """The changes of all trainings, by the kernel."""
-    launch = launch_of(statements, len(weights))
-    assert launch is not None, "checked by `kernel_of`"
+    launch = launch_layout(statements, len(weights))
+    assert launch is not None, "checked by `rule_kernel`"
     trainings, patterns = len(weights), targets.shape[-1]
     groups = -(-trainings // launch.threads)
     multiprocessors = int(getattr(jax.devices()[0], "core_count", 132))
@@ -183,7 +183,7 @@ class Launch:
     shared_bytes: int
 
 
-def launch_of(statements: RuleStatements, trainings: int) -> Launch | None:
+def launch_layout(statements: RuleStatements, trainings: int) -> Launch | None:
     """The layout for so many trainings; None where a multiprocessor's memory is too small."""
     threads = min(_THREADS, 32 * -(-trainings // 32))
     resident = _THREADS // threads

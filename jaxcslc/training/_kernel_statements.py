@@ -58,7 +58,7 @@ class KernelStage:
         return tuple(sorted({term.number for term in self.terms}))
 
 
-def stages_of(
+def kernel_stages(
     graph: Expressions, sums: Sequence[Value], rows: Collection[int], targets: Collection[int]
 ) -> tuple[KernelStage, ...]:
     """Divide sums into stages of a thread.
@@ -226,9 +226,8 @@ class Collected:
         self._source, self.graph = source, Expressions()
         self._forms: dict[int, Form] = {}
         self._of_weights: dict[int, bool] = {}  # whether weights alone decide a factor
-        self._made: dict[int, Form] = {}
 
-    def sum_of(self, value: Value) -> Form:
+    def expanded(self, value: Value) -> Form:
         """A value of the source as a sum of products."""
         for index in self._source.needed([value]):
             if index not in self._forms:
@@ -245,7 +244,7 @@ class Collected:
             form, common = self.factors(value.signed()[1])
             return _negative(form), common
         if operation.name == "multiply":
-            forms = [self.sum_of(Value(self._source, i)) for i in operation.arguments]
+            forms = [self.expanded(Value(self._source, i)) for i in operation.arguments]
             for one, other in (forms, forms[::-1]):
                 if len(one) == 1 and self._by_weights(next(iter(one))):
                     ((product, coefficient),) = one.items()
@@ -255,7 +254,7 @@ class Collected:
                     if not any(self._by_weights((i,)) for part in remaining for i in part):
                         coefficients = [coefficient * x for x in other.values()]
                         return _added(zip(remaining, coefficients, strict=True)), common
-        return self.sum_of(value), ()
+        return self.expanded(value), ()
 
     def value(self, form: Form) -> Value:
         """A value that is the sum."""
@@ -269,7 +268,6 @@ class Collected:
         turned, size = total.signed()
         if not self._is_pattern(form):
             self._of_weights.setdefault(size.index, self._sum_by_weights(form))
-            self._made.setdefault(size.index, _negative(form) if minus != turned else form)
         return -size if minus != turned else size
 
     def product_value(self, product: Product) -> Value:
@@ -277,10 +275,6 @@ class Collected:
         for index in product:
             value *= Value(self.graph, index)
         return value
-
-    def made_of(self, factor: int) -> Form:
-        """The sum that a factor is, itself if it is none."""
-        return self._made.get(factor, {(factor,): self.graph.constant(1.0)})
 
     def _form(self, operation: Operation) -> Form:
         graph = self.graph
@@ -672,7 +666,7 @@ def _rule_statements(
     operations = collected.graph.operations
     prefix = f"{_name(len(sizes))} "
     targets = {i for i, operation in enumerate(operations) if operation.text.startswith(prefix)}
-    stages = stages_of(collected.graph, sums, {value.index for value in rows}, targets)
+    stages = kernel_stages(collected.graph, sums, {value.index for value in rows}, targets)
     statements = RuleStatements(
         collected.graph, sums, factors, entries, rows, shape, stages, inputs
     )

@@ -409,17 +409,17 @@ class Turn(eqx.Module):
         return self.handed_over & (self.spent >= len(schedule.rules))
 
 
-def _schedule_of(schedule: Schedule | AbstractRule) -> Schedule:
+def _as_schedule(schedule: Schedule | AbstractRule) -> Schedule:
     return Schedule((schedule,)) if isinstance(schedule, AbstractRule) else schedule
 
 
-def _rates_of(rates: AbstractRates | Sequence[AbstractRates] | float) -> tuple[AbstractRates, ...]:
+def _as_rates(rates: AbstractRates | Sequence[AbstractRates] | float) -> tuple[AbstractRates, ...]:
     if isinstance(rates, float | int):
         raise ValueError(f"rates: expected FixedRates({rates}) or AdaptedRates({rates})")
     return (rates,) if isinstance(rates, AbstractRates) else tuple(rates)
 
 
-def _names_of(names: str | Sequence[str]) -> tuple[str, ...]:
+def _as_names(names: str | Sequence[str]) -> tuple[str, ...]:
     return (names,) if isinstance(names, str) else tuple(names)
 
 
@@ -445,11 +445,11 @@ class Plan(eqx.Module):
     - `divergence`: a cost above this many times the first has diverged.
     """
 
-    schedule: Schedule = eqx.field(converter=_schedule_of)
-    rates: tuple[AbstractRates, ...] = eqx.field(default=AdaptedRates(1e-3), converter=_rates_of)
+    schedule: Schedule = eqx.field(converter=_as_schedule)
+    rates: tuple[AbstractRates, ...] = eqx.field(default=AdaptedRates(1e-3), converter=_as_rates)
     cost: Cost = eqx.field(default=half_rms, static=True, kw_only=True)
     order: Literal["batch", "sequential"] = eqx.field(default="batch", static=True, kw_only=True)
-    frozen: tuple[str, ...] = eqx.field(default=(), converter=_names_of, static=True, kw_only=True)
+    frozen: tuple[str, ...] = eqx.field(default=(), converter=_as_names, static=True, kw_only=True)
     target: Float[Array, "..."] | float = eqx.field(default=0.0, kw_only=True)
     measure: Cost | None = eqx.field(default=None, static=True, kw_only=True)
     stop_patience: int = eqx.field(default=50, static=True, kw_only=True)

@@ -115,7 +115,7 @@ class AbstractRule(eqx.Module):
         errors = targets - network.activation.value(passage.total)
         moves = self.moves(Presentation(network, weights, passage, errors, counts))
         sizes = self.proportions(weights)
-        change = change_of_weights(network, moves, learning, by_sign=sizes is not None)
+        change = weight_changes(network, moves, learning, by_sign=sizes is not None)
         return change if sizes is None else jnp.abs(sizes)[None, :] * change
 
 
@@ -124,7 +124,7 @@ def subnetwork_counts(counts: Counts, number: int) -> Numbers:
     return counts[number] if counts.ndim == 3 else counts
 
 
-def change_of_weights(
+def weight_changes(
     network: AdaptiveNetwork,
     moves: Moves,
     learning: tuple[bool, ...],

@@ -16,7 +16,7 @@ from .._environment import platform_of, require_float64
 from .._scratch import unfinished
 from ._epoch import OUTCOMES, History, Record, Training, TrainingState, epoch
 from ._examples import Examples, NormalEquations
-from ._kernel import kernel_of
+from ._kernel import rule_kernel
 from ._network import AdaptiveNetwork
 from ._plan import Plan, Schedule
 from ._rules import AbstractRule
@@ -369,7 +369,7 @@ def _largest_block(
     rules, costs = plan.schedule.rules, {plan.cost, plan.measure or plan.cost}
     by_subnetwork = training_set.subnetwork_counts is not None
     by_kernel = by_kernel and all(
-        kernel_of(network, rule, learning, by_subnetwork=by_subnetwork) is not None
+        rule_kernel(network, rule, learning, by_subnetwork=by_subnetwork) is not None
         for rule in rules
     )
     in_batches = by_kernel and plan.schedule.switch is None and plan.order == "batch"

@@ -28,7 +28,7 @@ def recording(network: jc.CSLC, noise: float = 0.02) -> jc.Recording:
     qdd = np.sum([-s * r**2 * np.sin(r * t) for r, s in zip(rate, size, strict=True)], axis=0)
     true = network.with_joint_friction(TRUE).with_static_slopes([10.0, 6.0])
     k = np.full(true.size, 0.4)
-    k[true.layout.of("offset")], k[true.layout.of("static")] = 0.5, 0.8
+    k[true.layout.term_slice("offset")], k[true.layout.term_slice("static")] = 0.5, 0.8
     rng = np.random.default_rng(0)
     torque = np.asarray(true.torque(k, q, qd, qdd)) + noise * rng.normal(size=q.shape)
     return jc.Recording(t[:, 0], np.asarray(q), torque)

@@ -150,7 +150,7 @@ class TestLayout:
         assert_array_equal(covered, np.arange(loaded.size))
         assert layout.kinds == ("rigid_body", "viscous", "dry", "spring", *COUPLED, "payload")
         for term, part in zip(loaded.terms, layout.slices, strict=True):
-            assert layout.of(term) == layout.of(term.kind) == part
+            assert layout.term_slice(term) == layout.term_slice(term.kind) == part
             assert layout.names[part] == term.names
 
     def test_parts(self, loaded: jc.CSLC) -> None:
@@ -179,7 +179,10 @@ class TestLayout:
         ("ask", "message"),
         [
             (lambda layout: layout.indices("kv9"), "'kv9' is no coefficient and no group; expec"),
-            (lambda layout: layout.of("static"), "the network has no term 'static'; it has rig"),
+            (
+                lambda layout: layout.term_slice("static"),
+                "the network has no term 'static'; it has rig",
+            ),
         ],
     )
     def test_unknown_words(

@@ -25,7 +25,7 @@ from jaxcslc.systems import (
     mechanics_equations,
     parse_equation,
 )
-from jaxcslc.systems._description import parse_unit, product_of_units, unit_text
+from jaxcslc.systems._description import parse_unit, unit_product, unit_text
 from tests.conftest import run
 from tests.systems.conftest import CART
 
@@ -184,5 +184,5 @@ def test_units_are_read_and_printed(text: str) -> None:
 
 
 def test_units_of_products() -> None:
-    assert product_of_units([("kg", 1), ("m", 2), ("1/s", 2)]) == "kg m²/s²"
-    assert product_of_units([("N m/rad", 1), ("rad", 1), ("m", -1)]) == "N"
+    assert unit_product([("kg", 1), ("m", 2), ("1/s", 2)]) == "kg m²/s²"
+    assert unit_product([("N m/rad", 1), ("rad", 1), ("m", -1)]) == "N"

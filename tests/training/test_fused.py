@@ -199,7 +199,7 @@ def test_what_patterns_decide_is_collected() -> None:
     graph = Expressions()
     x, y, w, v = (graph.input(name) for name in ("x", "y", "weight 0", "weight 1"))
     collected = Collected(graph)
-    (product,) = collected.sum_of(x * w + y * w - 2.0 * w)
+    (product,) = collected.expanded(x * w + y * w - 2.0 * w)
     assert collected.product_value(product).operation.text == "weight 0"
 
     def share(amount: Any, among: Any) -> Any:
@@ -211,19 +211,19 @@ def test_what_patterns_decide_is_collected() -> None:
     modulus = graph.apply("fabs", x * w)
     names = [
         [collected.graph.operations[i].name for i in product]
-        for product in collected.sum_of(share(modulus, modulus))
+        for product in collected.expanded(share(modulus, modulus))
     ]
     assert names == [["nonzero"]]
     form, factor = collected.factors(graph.apply("fabs", w) * share(modulus, modulus))
     assert list(form) == [()] and collected.product_value(factor).operation.name == "fabs"
-    (two,) = collected.sum_of(share(y, w * x + v))
+    (two,) = collected.expanded(share(y, w * x + v))
     assert [collected.graph.operations[i].name for i in two] == ["inverse"]
 
 
 def test_layouts_fit_a_multiprocessor(arm: AdaptiveNetwork) -> None:
     statements = statements_of(arm, PERAL(), (True,) * len(arm.groups))
     for trainings in (1, 5, 33, 70, 200, 4096):
-        launch = _change.launch_of(statements, trainings)
+        launch = _change.launch_layout(statements, trainings)
         assert launch is not None
         assert launch.threads >= min(trainings, 256)
         assert launch.resident * (launch.shared_bytes + 1024) <= 227 * 1024
@@ -236,7 +236,7 @@ def test_no_layout_where_rows_are_too_long(
     arm: AdaptiveNetwork, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(_change, "_SHARED", 1500)
-    assert _change.launch_of(statements_of(arm, PERAL(), (True,) * len(arm.groups)), 64) is None
+    assert _change.launch_layout(statements_of(arm, PERAL(), (True,) * len(arm.groups)), 64) is None
 
 
 @pytest.mark.parametrize("cost", COSTS)
@@ -309,8 +309,8 @@ def test_batches_of_all_kinds(rng: np.random.Generator, monkeypatch: pytest.Monk
         calls.append(len(weights))
         return jax.vmap(lambda w: change(w, *arrays))(weights)
 
-    monkeypatch.setattr(_change, "kernel_of", rule_statements)
-    monkeypatch.setattr(_change, "change_of_many", of_many)
+    monkeypatch.setattr(_change, "rule_kernel", rule_statements)
+    monkeypatch.setattr(_change, "batched_changes", of_many)
     arrays = patterns.signals, patterns.targets, patterns.counts
 
     def fused(weights: Array, signals: Any, targets: Array, counts: Array) -> Array:
@@ -353,7 +353,7 @@ def test_the_kernel_is_the_rule(
     weights = weights.at[:, 0].set(1e-320)  # whose reciprocals are infinite
     arrays = training_set.signals, training_set.targets, training_set.learning_counts
     statements = statements_of(arm, rule, learning, by_subnetwork=by_subnetwork)
-    changes = _change.change_of_many(statements, weights, *arrays)
+    changes = _change.batched_changes(statements, weights, *arrays)
     expected = jax.vmap(lambda w: rule.change(arm, w, *arrays, learning))(weights)
     assert_allclose(changes, expected, **ROUNDING)
 
@@ -404,7 +404,7 @@ def test_costs_by_the_kernel(
 @pytest.mark.gpu
 def test_assembly_of_the_kernel(arm: AdaptiveNetwork) -> None:
     statements = statements_of(arm, PERAL(), (True,) * len(arm.groups))
-    launch = _change.launch_of(statements, 4096)
+    launch = _change.launch_layout(statements, 4096)
     assert launch is not None
     assert ".entry changes" in assembly(_change.source(statements, launch))
     assert ".entry rows" in assembly(_change.rows_source(statements))

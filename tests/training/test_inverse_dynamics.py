@@ -76,10 +76,14 @@ def test_torque_and_each_term(puma: CSLC, rng: np.random.Generator) -> None:
     friction = alone(network, "viscous", k, patterns) + alone(network, "dry", k, patterns)
     assert_allclose(friction, puma.friction_term(k, qd), **close)
     assert_allclose(
-        alone(network, "viscous", k, patterns), k[puma.layout.of("viscous")] * qd, rtol=1e-14
+        alone(network, "viscous", k, patterns),
+        k[puma.layout.term_slice("viscous")] * qd,
+        rtol=1e-14,
     )
     assert_allclose(
-        alone(network, "dry", k, patterns), k[puma.layout.of("dry")] * np.sign(qd), rtol=1e-14
+        alone(network, "dry", k, patterns),
+        k[puma.layout.term_slice("dry")] * np.sign(qd),
+        rtol=1e-14,
     )
 
 

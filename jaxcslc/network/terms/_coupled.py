@@ -38,7 +38,7 @@ class CoupledTerm(AbstractInputTerm):
     joint_count: int = eqx.field(static=True)
 
     @classmethod
-    def all_of(cls, robot: Manipulator) -> list["CoupledTerm"]:
+    def from_robot(cls, robot: Manipulator) -> list["CoupledTerm"]:
         """Return one term of each kind, or none without coupled joints.
 
         **Raises** `RobotError` for a joint that follows another.

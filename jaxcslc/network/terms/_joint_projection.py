@@ -136,19 +136,19 @@ class ProjectedTerm(AbstractManipulatorTerm):
         return tuple(rows)
 
     def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
-        whole = self.term.regressor(*self._of_all(q, qd, qdd))
+        whole = self.term.regressor(*self._all_motion(q, qd, qdd))
         return (whole.mT @ self._matrix(whole)).mT
 
     def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
-        whole = self.term.torque(k, *self._of_all(q, qd, qdd))
+        whole = self.term.torque(k, *self._all_motion(q, qd, qdd))
         return whole @ self._matrix(whole)
 
     def part(self, quantity: str, k: Coefficients, *motion: Joints) -> Float[Array, "..."]:
-        whole = self.term.part(quantity, k, *self._of_all(*motion))
+        whole = self.term.part(quantity, k, *self._all_motion(*motion))
         projected = whole @ self._matrix(whole)
         return self._matrix(whole).T @ projected if quantity == "mass_matrix" else projected
 
-    def _of_all(self, q: Joints, *rates: Joints) -> list[AllJoints]:
+    def _all_motion(self, q: Joints, *rates: Joints) -> list[AllJoints]:
         return [self.projection.positions(q), *map(self.projection.velocities, rates)]
 
     def _matrix(self, like: Any) -> Any:

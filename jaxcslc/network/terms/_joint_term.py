@@ -19,7 +19,7 @@ from jaxcslc.derivation import Coefficient
 from jaxcslc.manipulator import STATIC_SLOPE, Manipulator
 
 from ._input_term import JAX_FUNCTIONS, AbstractFunctions, AbstractInputTerm
-from ._term import Coefficients, Joints, Regressor, hash_of
+from ._term import Coefficients, Joints, Regressor, content_hash
 
 
 LOAD, DIRECTIONAL_LOAD = "load", "directional_load"
@@ -204,7 +204,7 @@ class JointLaw(eqx.Module):
         return JointLaw(self.properties, values)
 
     def __hash__(self) -> int:
-        return hash_of(self.properties, self.slopes)
+        return content_hash(self.properties, self.slopes)
 
 
 JOINT_LAWS = {row.kind: JointLaw(row) for row in _ROWS}

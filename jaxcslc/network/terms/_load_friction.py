@@ -36,7 +36,7 @@ from ._term import (
     Matrices,
     Regressor,
     Rows,
-    hash_of,
+    content_hash,
 )
 
 
@@ -73,7 +73,7 @@ class LoadFriction(AbstractJointTerm):
     robot_joint_count: int = eqx.field(static=True)
 
     @classmethod
-    def all_of(
+    def from_robot(
         cls,
         robot: Manipulator,
         rigid: AbstractRigidBody | ProjectedTerm,
@@ -147,7 +147,7 @@ class LoadFriction(AbstractJointTerm):
         return self.load
 
     def __hash__(self) -> int:
-        return hash_of(self.coefficients, self.joints, self.load)
+        return content_hash(self.coefficients, self.joints, self.load)
 
 
 def _share(factors: Any, power: Any) -> Any:
@@ -228,4 +228,4 @@ class LoadedRigidBody(AbstractManipulatorTerm):
         return 1.0 + _share(jnp.asarray(self.factors, q.dtype), qd * torque)
 
     def __hash__(self) -> int:
-        return hash_of(self.coefficients, self.load, self.factors)
+        return content_hash(self.coefficients, self.load, self.factors)

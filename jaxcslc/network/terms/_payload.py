@@ -67,7 +67,7 @@ def payload_term(carrying: Manipulator) -> RigidBodyRecursion:
     body = tuple(unit if i == link else ((),) * size for i in links)
     indices = tuple(tuple(range(size)) if i == link else () for i in links)
     coefficients = _coefficients(carrying)
-    return RigidBodyRecursion.of_bodies(carrying, body, indices, (), coefficients, "payload")
+    return RigidBodyRecursion.from_bodies(carrying, body, indices, (), coefficients, "payload")
 
 
 @lru_cache(maxsize=64)  # coefficients are compared by identity

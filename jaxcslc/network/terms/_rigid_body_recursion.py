@@ -23,12 +23,12 @@ from ._rolled import (
     Bodies,
     Geometry,
     by_link,
-    geometry_of,
-    mass_matrix_of,
-    pairs_of,
-    paths_of,
+    carried_pairs,
+    carrying_joints,
+    chain_geometry,
+    rolled_mass_matrix,
+    rolled_torque,
     samples_last,
-    torque_of,
     unit_torques,
 )
 from ._term import Coefficients, Joints, Rows
@@ -94,11 +94,11 @@ class RigidBodyRecursion(AbstractRigidBody):
                 columns[unit.link].append(tuple(float(entry) for entry in unit.body))
         body = tuple(tuple(zip(*c, strict=True)) if c else ((),) * len(BODY) for c in columns)
         by_link = tuple(tuple(link) for link in indices)
-        term = cls.of_bodies(algebra.robot, body, by_link, tuple(motors), algebra.coefficients)
+        term = cls.from_bodies(algebra.robot, body, by_link, tuple(motors), algebra.coefficients)
         return dataclasses.replace(term, unrolled=unrolled)
 
     @classmethod
-    def of_bodies(
+    def from_bodies(
         cls,
         robot: Manipulator,
         body: tuple[tuple[tuple[float, ...], ...], ...],
@@ -114,7 +114,7 @@ class RigidBodyRecursion(AbstractRigidBody):
             gravity=robot.gravity,
             indices=indices,
             motors=motors,
-            paths=paths_of(robot.parents),
+            paths=carrying_joints(robot.parents),
             coefficients=coefficients,
             kind=kind,
         )
@@ -168,10 +168,10 @@ class RigidBodyRecursion(AbstractRigidBody):
             return self._rolled_regressor(*motion)
         geometry, bodies = self._geometry(q.dtype), self._bodies(k)
         if quantity == "mass_matrix":
-            return mass_matrix_of(geometry, bodies, q).reshape(*q.shape[:-1], -1)
+            return rolled_mass_matrix(geometry, bodies, q).reshape(*q.shape[:-1], -1)
         gravity = np.zeros(3) if quantity == "velocity" else np.array(self.gravity)
         still = [jnp.zeros_like(q)] * (3 - len(motion))
-        return torque_of(geometry, gravity.astype(q.dtype), bodies, *motion, *still)
+        return rolled_torque(geometry, gravity.astype(q.dtype), bodies, *motion, *still)
 
     def is_unrolled(self, q: Any, shape: tuple[int, ...]) -> bool:
         """Return whether the unrolled form computes with positions of a shape (..., joints)."""
@@ -183,7 +183,7 @@ class RigidBodyRecursion(AbstractRigidBody):
         return platform_of(q) != "cpu" or math.prod(batch) >= _MANY_SAMPLES
 
     def _geometry(self, dtype: Any) -> Geometry:
-        return geometry_of(self.joints, self.paths, np.dtype(dtype))
+        return chain_geometry(self.joints, self.paths, np.dtype(dtype))
 
     def _bodies(self, k: Array) -> Bodies:
         """The coefficients by link, which are as many for every robot of so many joints."""
@@ -220,7 +220,7 @@ class RigidBodyRecursion(AbstractRigidBody):
 
     def _rows(self, joint: int, index: int) -> list[tuple[int, float]]:
         """Rows of `unit_torques`, and multiples, of which one entry of the regressor is made."""
-        link, joints = pairs_of(self.paths)
+        link, joints = carried_pairs(self.paths)
         zero_row = 10 * len(link) + len(self.joints)
         for motor, motor_index in self.motors:
             if motor_index == index:

@@ -40,7 +40,7 @@ class Geometry(NamedTuple):
     carries: Float[Array | np.ndarray, "joints links"]  # 1 where a joint carries a link
 
 
-def paths_of(parents: Sequence[int]) -> tuple[tuple[int, ...], ...]:
+def carrying_joints(parents: Sequence[int]) -> tuple[tuple[int, ...], ...]:
     """The joints that carry each link, from the base outwards."""
     paths: list[tuple[int, ...]] = []
     for i, parent in enumerate(parents):
@@ -49,7 +49,7 @@ def paths_of(parents: Sequence[int]) -> tuple[tuple[int, ...], ...]:
 
 
 @lru_cache(maxsize=256)
-def geometry_of(
+def chain_geometry(
     joints: tuple[Joint, ...], paths: tuple[tuple[int, ...], ...], dtype: np.dtype
 ) -> Geometry:
     """The numbers of a chain or tree of joints, in a precision."""
@@ -109,7 +109,7 @@ def by_link(
     return index, matrix
 
 
-def links_of(bodies: Bodies) -> RolledLinks:
+def rolled_links(bodies: Bodies) -> RolledLinks:
     ten = jnp.sum(bodies.body * bodies.k[:, None], axis=2)
     xx, yy, zz, xy, xz, yz = (ten[:, i] for i in range(6))
     tensor = jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
@@ -206,7 +206,7 @@ def _placement(joint: Joint) -> tuple[np.ndarray, np.ndarray]:
 
 # Functions of arrays alone: robots of as many joints share one program each.
 @jax.jit
-def torque_of(
+def rolled_torque(
     geometry: Geometry,
     gravity: Float[Array | np.ndarray, "3"],
     bodies: Bodies,
@@ -215,16 +215,16 @@ def torque_of(
     qdd: Joints,
 ) -> Joints:
     """Joint torques of bodies by Newton and Euler's recursion (thesis 2.3; Luh et al. 1980)."""
-    links = links_of(bodies)
+    links = rolled_links(bodies)
 
     def of_block(q: Array, qd: Array, qdd: Array) -> Array:
-        return _torque_of_block(geometry, gravity, links, q, qd, qdd).T
+        return _block_torque(geometry, gravity, links, q, qd, qdd).T
 
     motion = (samples_last(q), samples_last(qd), samples_last(qdd))
     return in_blocks(of_block, motion, samples_first=True).reshape(q.shape)
 
 
-def _torque_of_block(
+def _block_torque(
     geometry: Geometry,
     gravity: Float[Array | np.ndarray, "3"],
     links: RolledLinks,
@@ -255,18 +255,18 @@ def _torque_of_block(
 
 
 @jax.jit
-def mass_matrix_of(geometry: Geometry, bodies: Bodies, q: Joints) -> Matrices:
+def rolled_mass_matrix(geometry: Geometry, bodies: Bodies, q: Joints) -> Matrices:
     """Mass matrices by composite rigid bodies (Walker and Orin 1982), about the base's origin."""
-    n, links = q.shape[-1], links_of(bodies)
+    n, links = q.shape[-1], rolled_links(bodies)
 
     def of_block(position: Array) -> Array:
-        return _mass_matrix_of_block(geometry, links, position).reshape(n * n, -1).T
+        return _block_mass_matrix(geometry, links, position).reshape(n * n, -1).T
 
     total = in_blocks(of_block, (samples_last(q),), samples_first=True)
     return total.reshape(*q.shape, n)
 
 
-def _mass_matrix_of_block(
+def _block_mass_matrix(
     geometry: Geometry, links: RolledLinks, position: Array
 ) -> Float[Array, "joints joints samples"]:
     still = jnp.zeros_like(position)
@@ -334,11 +334,11 @@ def unit_torques(
     - `paths`: the joints that carry each link.
     - `q`, `qd`, `qdd`: (joints, samples).
 
-    **Returns** rows, of as many columns as samples: of `pairs_of` ten each, then the accelerations,
-    then zeros.
+    **Returns** rows, of as many columns as samples: ten for each of `carried_pairs`, then
+    the accelerations, then zeros.
     """
     states = link_states(geometry, gravity, q, qd, qdd)
-    links, joints = pairs_of(paths)
+    links, joints = carried_pairs(paths)
     turns = jnp.asarray(geometry.turning[joints])
     indices = jnp.asarray(links + 1), jnp.asarray(joints + 1), turns
     _, ten = lax.scan(_unit_torques_of_pair, states, indices)
@@ -379,7 +379,7 @@ def _pair_torques(link: Any, joint: Any, turning: Any) -> Any:
     return jnp.stack(ten, axis=-2)
 
 
-def pairs_of(paths: Sequence[Sequence[int]]) -> tuple[np.ndarray, np.ndarray]:
+def carried_pairs(paths: Sequence[Sequence[int]]) -> tuple[np.ndarray, np.ndarray]:
     """Links and joints of all pairs in which the joint carries the link."""
     pairs = [(link, joint) for link, path in enumerate(paths) for joint in path]
     links, joints = np.array(pairs).T

@@ -103,7 +103,7 @@ class AbstractManipulatorTerm(AbstractTerm):
         """
 
 
-def hash_of(*values: Any) -> int:
+def content_hash(*values: Any) -> int:
     """Hash values, arrays by their numbers.
 
     `jax.jit(network.torque)` looks the method up by the hash of its terms, and arrays have none.

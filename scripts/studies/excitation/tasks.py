@@ -104,7 +104,7 @@ def compared(part: str, name: str, seed: int, designs: Designs) -> dict[str, Any
         net, k = network(), shared @ k
     # The judged motion is without what these terms are for.
     disturbances = {"offset", "static"} & set(net.layout.kinds)
-    without = np.concatenate([np.r_[net.layout.of(kind)] for kind in disturbances] or [[]])
+    without = np.concatenate([np.r_[net.layout.term_slice(kind)] for kind in disturbances] or [[]])
     judged_k = np.where(np.isin(np.arange(net.size), without), 0.0, k)
     return {
         "epsilon": epsilon(net, judged_k, comparison(seed)),

@@ -69,7 +69,7 @@ def row_of(machine: sim.Machine, samples: int, slow_samples: int, seed: int) -> 
     static = np.array(machine.static) - np.array(machine.dry)
     slopes = 1.0 / np.array(machine.static_velocity)
     true = np.asarray(true_coefficients(network, machine, static=static))
-    rows = network.layout.of("static")
+    rows = network.layout.term_slice("static")
     low, high = uncertainty_interval(result.fit, None, 0.95).T
     inside = (low <= true) & (true <= high)
     error = np.asarray(result.fit.standard_error)

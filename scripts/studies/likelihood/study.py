@@ -72,7 +72,7 @@ def row_of(machine: sim.Machine, samples: int, seed: int) -> dict[str, Any]:
     layout = network.layout
 
     def grouped(values: np.ndarray) -> dict[str, list[Any]]:
-        return {kind: values[layout.of(kind)].tolist() for kind in GROUPS}
+        return {kind: values[layout.term_slice(kind)].tolist() for kind in GROUPS}
 
     return {
         "regression": epsilon(without, np.asarray(regression.k), patterns),
@@ -85,9 +85,9 @@ def row_of(machine: sim.Machine, samples: int, seed: int) -> dict[str, Any]:
         "reported": grouped(reported) | {"slopes": slope.tolist()},
         "inside": grouped((low <= true) & (true <= high))
         | {"slopes": (np.abs(slope) <= WITHIN).tolist()},
-        "static": (np.asarray(result.k)[layout.of("static")] / static).tolist(),
+        "static": (np.asarray(result.k)[layout.term_slice("static")] / static).tolist(),
         "static error": (
-            np.asarray(result.fit.standard_error)[layout.of("static")] / static
+            np.asarray(result.fit.standard_error)[layout.term_slice("static")] / static
         ).tolist(),
         "slope": (result.slopes / slopes).tolist(),
         "slope error": (result.slope_error / slopes).tolist(),

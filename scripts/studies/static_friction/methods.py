@@ -94,7 +94,7 @@ class Identifier:
         magnitude, error = np.zeros(slopes[0].size), np.full(slopes[0].size, np.inf)
         joints = np.setdiff1d(np.arange(magnitude.size), np.array(fit.dropped, int) - 1)
         if joints.size:
-            static = fit.network.layout.of("static")
+            static = fit.network.layout.term_slice("static")
             magnitude[joints] = fit.fit.k[static]
             error[joints] = fit.fit.standard_error[static]
         static_friction = magnitude, error, *slopes
@@ -109,12 +109,12 @@ class Identifier:
     ) -> Model:
         q, qd, _ = splines.smooth(recording.time, recording.position)
         windows = motion_windows(qd, length=_LENGTH, slowest=SLOWEST, trim=trim)
-        dry = masked[self.without_static.layout.of("dry")]
+        dry = masked[self.without_static.layout.term_slice("dry")]
         start = self.network.with_static_slopes(3.0 / (_START * np.max(np.abs(qd), axis=0)))
         fit = fit_windows(
             start, np.concatenate([masked, _START * np.abs(dry)]), recording, windows, (q, qd)
         )
-        static = self.network.layout.of("static")
+        static = self.network.layout.term_slice("static")
         network = self.network.with_static_slopes(fit.slopes)
         static_friction = fit.k[static], fit.error[static], fit.slopes, fit.slope_error
         return Model(network, fit.k, *static_friction, fit.converged)

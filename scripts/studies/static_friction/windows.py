@@ -289,7 +289,7 @@ def _path(
     """Positions at the samples of a window, from a state at the first; midpoint rule."""
     n, p, layout = network.joint_count, network.size, network.layout
     rigid = jnp.zeros(p).at[layout.inertial].set(theta[layout.inertial])
-    viscous, dry, static = (theta[layout.of(kind)] for kind in ("viscous", "dry", "static"))
+    viscous, dry, static = (theta[layout.term_slice(kind)] for kind in ("viscous", "dry", "static"))
     slopes = jnp.exp(theta[p:])
     h = interval / _STEPS
 
