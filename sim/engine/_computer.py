@@ -1,3 +1,5 @@
+"""The computer that controls a machine: sampling, demands, faults, and what it records."""
+
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +13,7 @@ from jaxtyping import Float
 
 from jaxcslc.control import AbstractController, Reference
 from sim.machine._bodies import MachineError
-from sim.machine._faults import Faults
+from sim.machine._events import Faults
 from sim.trajectory._paths import AbstractPath
 from sim.trajectory._trajectories import Trajectory
 

@@ -1,3 +1,5 @@
+"""Disturbances between demands and links at each step, for both engines."""
+
 import dataclasses
 import functools
 from collections.abc import Sequence
@@ -9,8 +11,7 @@ import numpy as np
 from jaxtyping import Int
 
 from sim.engine._plan import Plan, RandomDraws, stacked
-from sim.machine._drivetrain import Drives, Encoders, Transmission
-from sim.machine._friction import Friction, friction_of
+from sim.machine._drivetrain import Drives, Encoders, Friction, Transmission, friction_of
 from sim.machine._machine import Machine
 
 

@@ -1,3 +1,5 @@
+"""A robot with its transmission as an MJCF document."""
+
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,3 +1,5 @@
+"""Plan of a recording: the structure of its machines, times of samples, random draws."""
+
 import dataclasses
 import math
 from collections.abc import Sequence
@@ -8,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sim.machine._bodies import MachineError
-from sim.machine._friction import friction_of
+from sim.machine._drivetrain import friction_of
 from sim.machine._machine import Machine
 from sim.trajectory._trajectories import Trajectory
 

@@ -1,3 +1,12 @@
+"""Simulated machines, with all disturbances of Section 7.2.
+
+- `_machine`: `Machine`, whose fields are off by default.
+- `_bodies`, `_nearest_links`: links that exist, and links with given dynamics.
+- `_drivetrain`: drives, encoders, transmission, friction.
+- `_events`: loads and faults.
+- `_puma560`, `_thesis_machines`, `_disturbances`: machines and disturbances by name.
+"""
+
 from sim.machine._bodies import (
     MachineError as MachineError,
     possible_links as possible_links,
@@ -11,12 +20,14 @@ from sim.machine._disturbances import (
 from sim.machine._drivetrain import (
     Drives as Drives,
     Encoders as Encoders,
+    Friction as Friction,
     Transmission as Transmission,
+    friction_of as friction_of,
 )
-from sim.machine._faults import Fault as Fault, Faults as Faults
-from sim.machine._friction import Friction as Friction, friction_of as friction_of
-from sim.machine._loads import (
+from sim.machine._events import (
     Carried as Carried,
+    Fault as Fault,
+    Faults as Faults,
     Load as Load,
     carrying as carrying,
     during as during,

@@ -1,3 +1,5 @@
+"""Rigid bodies that exist, and links as assembly tilts them."""
+
 import dataclasses
 import math
 from collections.abc import Sequence

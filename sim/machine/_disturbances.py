@@ -1,3 +1,5 @@
+"""Disturbances by name, at their size on a PUMA 560."""
+
 import dataclasses
 from collections.abc import Mapping
 from types import MappingProxyType

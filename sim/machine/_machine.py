@@ -1,3 +1,5 @@
+"""A simulated machine: its robot, drives, encoders, friction and all disturbances."""
+
 import functools
 import math
 from collections.abc import Callable, Sequence

@@ -1,3 +1,5 @@
+"""The simulated PUMA 560, and specimens of a machine that differ as built ones do."""
+
 import dataclasses
 import math
 

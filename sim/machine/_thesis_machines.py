@@ -1,3 +1,5 @@
+"""The thesis's machines A and B, whose coefficients are nearest to the published ones."""
+
 import dataclasses
 import functools
 import tomllib

@@ -1,3 +1,5 @@
+"""Machines side by side on one trajectory, with the states of their controllers."""
+
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -5,8 +7,7 @@ import numpy as np
 from tqdm import tqdm
 
 from jaxcslc.recordings import Recording
-from sim.engine._simulate import SimulationError, perform, thread_count
-from sim.engine._truth import Truth
+from sim.engine._simulate import SimulationError, Truth, perform, thread_count
 from sim.machine._machine import Machine
 from sim.trajectory._trajectories import Trajectory
 

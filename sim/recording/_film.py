@@ -1,17 +1,257 @@
+"""Films of simulated motion, and the scene that they show."""
+
 import fractions
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
+from jaxtyping import Bool, Float
 
 from jaxcslc._environment import require
-from sim.engine._truth import Truth
+from sim.engine._mjcf import mjcf
+from sim.engine._simulate import Truth
 from sim.machine._bodies import MachineError
-from sim.machine._loads import Load
+from sim.machine._events import Load, during
 from sim.machine._machine import Machine
-from sim.recording._scene import Scene, holding
+from sim.trajectory._kinematics import Hand
+
+
+# Okabe and Ito's palette, which colour-blind viewers distinguish: links in turn, loads.
+_LINKS = ("#0072B2", "#E69F00", "#009E73", "#56B4E9", "#CC79A7", "#999999")
+_LOAD = "#D55E00"
+_JOINT = "#333333"
+_BASE = "#777777"
+# A load is drawn as a cube of water of its mass [kg/m³], of a visible size [m].
+_DENSITY = 1000.0
+_SMALLEST_LOAD = 0.05
+# Length of the tool beyond the last link's frame, as a part of the arm's size.
+_TOOL = 0.06
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Geometry for drawing a machine: links as rods, the floor, and loads as boxes.
+
+    MuJoCo computes the kinematics only; there is no dynamics.
+
+    >>> import numpy as np
+    >>> import sim
+    >>> scene = sim.Scene.of(sim.puma560())
+    >>> scene.update(np.zeros(6))
+    >>> scene.data.xpos.shape
+    (7, 3)
+    """
+
+    model: Any
+    """MuJoCo's."""
+
+    data: Any
+    """MuJoCo's: positions of all bodies."""
+
+    hand: Hand
+    """The last link's frame."""
+
+    centres: Float[np.ndarray, "loads 3"]
+    """Of the loads, in the last link's frame [m]."""
+
+    radii: Float[np.ndarray, " joints"]
+    """Of the links' joints, as they are drawn [m]."""
+
+    size: float
+    """How far the arm reaches, about [m]."""
+
+    ground: float
+    """Height of the floor in frame 0 [m]."""
+
+    carried: Bool[np.ndarray, " loads"]
+    """Whether the hand holds each load, as of the last `update`."""
+
+    @classmethod
+    def of(
+        cls, machine: Machine, loads: Sequence[Load] = (), *, floor: float | None = None
+    ) -> "Scene":
+        """The scene of a machine.
+
+        **Arguments**
+
+        - `machine`: the machine to draw.
+        - `loads`: the loads of its trajectory.
+        - `floor`: height of the floor in frame 0 [m]; if omitted 0 where the first joint is above
+            that, and half the arm's reach below where it is not.
+        """
+        n = machine.joint_count
+        spec = mujoco.MjSpec.from_string(mjcf(machine.robot, machine.links))
+        origins = np.array([spec.body(f"link_{i + 1}").pos for i in range(n)])
+        size = float(np.linalg.norm(origins, axis=1).sum()) or 1.0
+        standing = origins[0][2] > 0.1 * size  # frame 0 is at the arm's foot
+        ground = (0.0 if standing else -0.5 * size) if floor is None else floor
+        _add_surroundings(spec, size, ground)
+        radii = 0.05 * size * (1.0 - 0.6 * np.arange(n) / n)
+        _add_links(spec, origins[0], radii, size, ground)
+        centres = np.zeros((len(loads), 3))
+        for number, load in enumerate(loads):
+            centres[number] = np.asarray(load.body.centre_of_gravity)
+            body = spec.worldbody.add_body(name=f"load_{number + 1}", mocap=True)
+            body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=_half_sizes(load), rgba=_rgba(_LOAD))
+        model = spec.compile()
+        return cls(
+            model,
+            mujoco.MjData(model),
+            Hand.of(machine.robot),
+            centres,
+            radii,
+            size,
+            ground,
+            np.zeros(len(loads), dtype=bool),
+        )
+
+    def update(
+        self,
+        position: Float[np.ndarray, " joints"],
+        carriers: Sequence[Float[np.ndarray, " joints"]] = (),
+    ) -> None:
+        """Moves links and loads to their positions.
+
+        **Arguments**
+
+        - `position`: of the joints [rad or m].
+        - `carriers`: for each load, joint positions at which the hand holds it (see `holding`).
+        """
+        n = position.size
+        self.data.qpos[:] = 0.0
+        self.data.qpos[:n] = position
+        for number, carrier in enumerate(carriers):
+            self.carried[number] = np.array_equal(carrier, position)
+            rotation, _ = self.hand.turn(carrier)
+            point, _ = self.hand.locate(carrier)
+            self.data.mocap_pos[number] = point + rotation @ self.centres[number]
+            mujoco.mju_mat2Quat(
+                self.data.mocap_quat[number], np.ascontiguousarray(rotation).ravel()
+            )
+        mujoco.mj_forward(self.model, self.data)
+
+    def draw(self, canvas: Any) -> None:
+        """Adds the shapes of varying length to a `MjvScene`: rods from joint to joint, and a stand
+        below each load that is not carried."""
+        origins = self.data.xpos[1 : len(self.radii) + 1]
+        for i in range(len(self.radii) - 1):
+            if np.linalg.norm(origins[i + 1] - origins[i]) > 1e-3 * self.size:
+                colour = _LINKS[i % len(_LINKS)]
+                _rod(canvas, origins[i], origins[i + 1], 0.8 * self.radii[i], colour)
+        for point, carried in zip(self.data.mocap_pos, self.carried, strict=True):
+            if not carried:
+                _rod(canvas, point, np.array([*point[:2], self.ground]), self.radii[-1], _BASE)
+
+
+def holding(
+    load: Load, time: Float[np.ndarray, " samples"], position: Float[np.ndarray, "samples joints"]
+) -> Float[np.ndarray, "samples joints"]:
+    """Joint positions that correspond to a load's position, at each sample.
+
+    Before it is picked up these are the positions at the pick-up, later those at the put-down.
+    """
+    carrying = np.flatnonzero(during(time, load.start, load.stop))
+    if not carrying.size:
+        return np.broadcast_to(position[-1], position.shape)
+    # It is released at the first sample at which it is no longer carried.
+    last = min(carrying[-1] + 1, len(time) - 1)
+    return position[np.clip(np.arange(len(time)), carrying[0], last)]
+
+
+def _rod(canvas: Any, start: Any, end: Any, radius: float, colour: str) -> None:
+    rod, capsule = canvas.geoms[canvas.ngeom], mujoco.mjtGeom.mjGEOM_CAPSULE
+    canvas.ngeom += 1
+    mujoco.mjv_initGeom(
+        rod, capsule, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(_rgba(colour))
+    )
+    mujoco.mjv_connector(rod, capsule, radius, start, end)
+
+
+def _add_surroundings(spec: Any, size: float, ground: float) -> None:
+    """Floor, light and background."""
+    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
+    spec.visual.headlight.diffuse = [0.35, 0.35, 0.35]
+    spec.visual.headlight.specular = [0.0, 0.0, 0.0]
+    spec.visual.quality.shadowsize = 2048
+    spec.visual.map.znear = 0.01
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        rgb1=[1, 1, 1],
+        rgb2=[1, 1, 1],
+        width=32,
+        height=192,
+    )
+    spec.add_texture(
+        name="tiles",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.93, 0.93, 0.93],
+        rgb2=[0.86, 0.86, 0.86],
+        width=256,
+        height=256,
+    )
+    floor = spec.add_material(name="floor", texrepeat=[4, 4], texuniform=True, reflectance=0.0)
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[3 * size, 3 * size, 0.1],
+        pos=[0, 0, ground],
+        material="floor",
+    )
+    spec.worldbody.add_light(
+        pos=[0.5 * size, -size, ground + 4 * size],
+        dir=[-0.12, 0.25, -1],
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        diffuse=[0.5, 0.5, 0.5],
+        specular=[0.1, 0.1, 0.1],
+        castshadow=True,
+    )
+
+
+def _add_links(
+    spec: Any,
+    shoulder: Float[np.ndarray, "3"],
+    radii: Float[np.ndarray, " joints"],
+    size: float,
+    ground: float,
+) -> None:
+    """Cylinders about the joints' axes, a column below the first, a tool at the last."""
+    cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
+    base = 1.3 * radii[0]
+    spec.worldbody.add_geom(
+        type=cylinder, fromto=[0, 0, ground, *shoulder], size=[base, 0, 0], rgba=_rgba(_BASE)
+    )
+    for i, radius in enumerate(radii):
+        end = [0, 0, 1.15 * radius]
+        spec.body(f"link_{i + 1}").add_geom(
+            type=cylinder,
+            fromto=[*(-np.array(end)), *end],
+            size=[1.05 * radius, 0, 0],
+            rgba=_rgba(_JOINT),
+        )
+    spec.body(f"link_{len(radii)}").add_geom(
+        type=cylinder,
+        fromto=[0, 0, 0, 0, 0, _TOOL * size],
+        size=[0.8 * radii[-1], 0, 0],
+        rgba=_rgba(_LINKS[(len(radii) - 1) % len(_LINKS)]),
+    )
+
+
+def _half_sizes(load: Load) -> list[float]:
+    """Of the box that a load is drawn as [m]."""
+    mass = float(load.body.mass)
+    side = max((mass / _DENSITY) ** (1 / 3), _SMALLEST_LOAD)
+    return [side / 2] * 3
+
+
+def _rgba(colour: str) -> list[float]:
+    return [*(int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)), 1.0]
 
 
 _LINE = 22  # height of a line of text [pixels]

@@ -1,3 +1,5 @@
+"""Linearity of a motor: mean demand against suspended mass (Fig. 7.2-2)."""
+
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -11,8 +13,8 @@ from jaxcslc.manipulator import LinkParameters, puma560 as puma560_robot
 from sim.engine._simulate import simulate
 from sim.machine._bodies import MachineError
 from sim.machine._machine import Machine
-from sim.trajectory._abbreviated_gravity import AbbreviatedGravity
 from sim.trajectory._paths import Oscillation
+from sim.trajectory._torques import AbbreviatedGravity
 from sim.trajectory._trajectories import FLANGE, Trajectory
 
 

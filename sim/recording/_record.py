@@ -1,19 +1,136 @@
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
-from typing import Literal, NamedTuple
+"""Many recordings in one call, and their files.
 
+A file is named by the content of machine, trajectory and seed.
+"""
+
+import dataclasses
+import hashlib
+import math
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from enum import Enum
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
 from tqdm import tqdm
 
 from jaxcslc._environment import require
-from jaxcslc._scratch import remove_left_behind
+from jaxcslc._scratch import remove_left_behind, unfinished
+from jaxcslc.recordings import Recording
 from sim.engine._plan import structure
-from sim.engine._simulate import SimulationError, perform, thread_count
-from sim.engine._truth import SimulatedRecording
+from sim.engine._simulate import SimulatedRecording, SimulationError, Truth, perform, thread_count
 from sim.machine._bodies import MachineError
 from sim.machine._machine import Machine
-from sim.recording._fingerprint import fingerprint
-from sim.recording._store import load, save
 from sim.trajectory._trajectories import Trajectory
+
+
+def fingerprint(*values: Any) -> str:
+    """A hash of the content of values: equal values have the same hash in every process.
+
+    It names the file of a recording by its machine, trajectory and seed.
+
+    **Arguments**
+
+    - `values`: numbers, text, arrays, and sequences, mappings and dataclasses of them.
+
+    **Returns**
+
+    Forty hexadecimal digits.
+
+    **Raises**
+
+    - `TypeError`: a value of another type.
+
+    >>> import sim
+    >>> from sim.recording._record import fingerprint
+    >>> fingerprint(sim.puma560(), 1) == fingerprint(sim.puma560(), 1)
+    True
+    >>> fingerprint(sim.puma560(), 1) == fingerprint(sim.puma560(), 2)
+    False
+    """
+    digest = hashlib.sha256()
+    for part in _parts(values):
+        digest.update(len(part).to_bytes(8, "big"))
+        digest.update(part)
+    return digest.hexdigest()[:40]
+
+
+def _parts(value: Any) -> list[bytes]:
+    kind = type(value).__qualname__.encode()
+    if value is None or isinstance(value, (bool, int, str, Fraction)):
+        return [kind, str(value).encode()]
+    if isinstance(value, float):
+        return [b"float", (b"nan" if math.isnan(value) else value.hex().encode())]
+    if isinstance(value, Enum):
+        return [kind, value.name.encode()]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = [(field.name, getattr(value, field.name)) for field in dataclasses.fields(value)]
+        return [kind, *_parts(fields)]
+    if isinstance(value, Mapping):
+        return [b"mapping", *_parts(sorted(value.items()))]
+    if isinstance(value, Sequence):
+        return [b"sequence", str(len(value)).encode(), *(p for item in value for p in _parts(item))]
+    if hasattr(value, "__array__"):
+        array = np.asarray(value)
+        if array.dtype == object:
+            raise TypeError(f"no name for an array of {type(array.flat[0]).__name__}")
+        return [str((array.dtype.str, array.shape)).encode(), array.tobytes()]
+    raise TypeError(f"no name for a {type(value).__name__}; expected numbers, text or dataclasses")
+
+
+def save(folder: Path, name: str, result: SimulatedRecording) -> None:
+    """Saves a recording and its truth as `folder/name.npz`; atomic if interrupted.
+
+    **Arguments**
+
+    - `folder`: made if missing.
+    - `name`: of the file, without its ending.
+    - `result`: recording and truth.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    truth = {
+        field.name: getattr(result.truth, field.name)
+        for field in dataclasses.fields(result.truth)
+        if field.name != "time"
+    }
+    with unfinished(folder / f"{name}.npz", clean=False) as path:
+        try:
+            np.savez(
+                path,
+                time=result.recording.time,
+                reading=result.recording.position,
+                demand=result.recording.torque,
+                **truth,
+            )
+        except ValueError as error:
+            # Interrupted within an array, the archive complains of it as it is closed.
+            if isinstance(error.__context__, KeyboardInterrupt):
+                raise error.__context__ from None
+            raise
+
+
+def load(folder: Path, name: str) -> SimulatedRecording | None:
+    """The recording that `save` saved under a name, or None.
+
+    **Raises**
+
+    - `ValueError`: a file that `save` did not write.
+    """
+    path = folder / f"{name}.npz"
+    if not path.exists():
+        return None
+    try:
+        with np.load(path) as file:
+            values = {key: file[key] for key in file.files}
+        time = values.pop("time")
+        recording = Recording(time, values.pop("reading"), values.pop("demand"))
+        return SimulatedRecording(recording, Truth(time=time, **values))
+    except (KeyError, TypeError, ValueError, OSError, zipfile.BadZipFile) as error:
+        raise ValueError(
+            f"{path}: expected a simulated recording; delete it to continue"
+        ) from error
 
 
 Backend = Literal["mujoco", "mjx"]

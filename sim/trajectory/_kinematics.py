@@ -1,3 +1,5 @@
+"""Kinematics of the hand: poses, Jacobians, and joint positions that reach a point."""
+
 from dataclasses import dataclass
 from functools import cached_property
 from typing import no_type_check
@@ -7,7 +9,7 @@ from jaxtyping import Float
 
 from jaxcslc.manipulator import Manipulator
 from sim.machine._bodies import MachineError
-from sim.trajectory._arrays import Array, namespace, spread
+from sim.trajectory._paths import Array, namespace, spread
 
 
 # Of the inverse kinematics.

@@ -1,3 +1,5 @@
+"""Motions of the hand: circles, and moves to a point."""
+
 from collections.abc import Sequence
 
 import numpy as np

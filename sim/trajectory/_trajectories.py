@@ -1,3 +1,5 @@
+"""Trajectories: tasks of a simulation, and those of the thesis's experiment."""
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -6,14 +8,11 @@ from jaxtyping import Float
 from jaxcslc.control import PID, AbstractController
 from jaxcslc.manipulator import Manipulator, puma560 as puma560_robot
 from sim.machine._bodies import MachineError
-from sim.machine._faults import Fault
-from sim.machine._loads import Load
+from sim.machine._events import Fault, Load
 from sim.machine._puma560 import puma560
-from sim.trajectory._abbreviated_gravity import AbbreviatedGravity
 from sim.trajectory._kinematics import Hand
 from sim.trajectory._paths import AbstractPath, MinimumJerk
-from sim.trajectory._repulsion import HandRepulsion, Repulsion
-from sim.trajectory._sinusoidal_torque import SinusoidalTorque
+from sim.trajectory._torques import AbbreviatedGravity, HandRepulsion, Repulsion, SinusoidalTorque
 
 
 # The PUMA 560 around the frames of Fig. 2.6-3, in metres; not in the thesis. Frame 0 is at the

@@ -1,3 +1,5 @@
+"""Echoes of objects as patterns of an identification problem (6.3.1): features and classes."""
+
 import math
 from dataclasses import dataclass
 

@@ -1,3 +1,5 @@
+"""A sonar with two receivers: its transducers, pulse, and what it receives of echo paths."""
+
 import math
 from dataclasses import dataclass
 

@@ -19,7 +19,7 @@ from jaxcslc.control import (
     Reference,
 )
 from sim.engine._computer import Computer
-from sim.machine._faults import Faults
+from sim.machine._events import Faults
 
 
 class Proportional(AbstractController):

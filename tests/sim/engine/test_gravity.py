@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import sim
-from sim.engine._gravity import largest_gravity
+from sim.engine._models import largest_gravity
 from tests.sim.engine.test_mjcf import RELATIVE, mujoco_torque, random_chain
 
 

@@ -6,7 +6,7 @@ import pytest
 
 import sim
 from sim.engine._models import model_of
-from sim.machine._friction import friction_of
+from sim.machine._drivetrain import friction_of
 
 
 def compiled(machine: sim.Machine, step: float) -> mujoco.MjModel:

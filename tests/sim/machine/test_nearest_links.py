@@ -10,8 +10,7 @@ from scipy.optimize import minimize
 import sim
 from jaxcslc import CSLC
 from jaxcslc.manipulator import LinkParameters, Manipulator, panda, puma560
-from sim.machine._coefficient_map import CoefficientMap, links_of, parameters_of
-from sim.machine._nearest_links import nearest_links
+from sim.machine._nearest_links import CoefficientMap, links_of, nearest_links, parameters_of
 from sim.machine._thesis_machines import thesis_coefficients
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import sim
 from jaxcslc import CSLC
-from sim.machine._coefficient_map import parameters_of
+from sim.machine._nearest_links import parameters_of
 from sim.machine._thesis_machines import puma_a, puma_b, thesis_coefficients
 
 

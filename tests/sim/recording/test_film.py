@@ -12,7 +12,7 @@ import pytest
 
 import sim
 from jaxcslc.manipulator import LinkParameters
-from sim.recording._scene import holding
+from sim.recording._film import holding
 
 
 BALL = LinkParameters(2.0, np.array([0.0, 0.0, 0.1]), 0.001 * np.eye(3))

@@ -10,7 +10,7 @@ import pytest
 
 import sim
 from jaxcslc.manipulator import LinkParameters
-from sim.recording._fingerprint import fingerprint
+from sim.recording._record import fingerprint
 
 
 @pytest.fixture(scope="module")

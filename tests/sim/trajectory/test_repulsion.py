@@ -11,7 +11,7 @@ import pytest
 import sim
 from jaxcslc.manipulator import Manipulator
 from sim.trajectory._kinematics import Hand
-from sim.trajectory._repulsion import HandRepulsion
+from sim.trajectory._torques import HandRepulsion
 
 
 def _near(repulsion: HandRepulsion, rng: np.random.Generator, rows: int = 60) -> np.ndarray:

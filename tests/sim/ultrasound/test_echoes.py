@@ -7,8 +7,7 @@ import pytest
 
 import sim
 from sim.ultrasound._echoes import COEFFICIENTS, features, onset, position
-from sim.ultrasound._objects import KINDS, column, pole, wall
-from sim.ultrasound._paths import curved
+from sim.ultrasound._objects import KINDS, column, curved, pole, wall
 from sim.ultrasound._sonar import received
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import jn_zeros
 
 import sim
-from sim.ultrasound._paths import (
+from sim.ultrasound._objects import (
     curved,
     diffraction,
     edge,
