@@ -17,10 +17,10 @@ import pytest
 
 if TYPE_CHECKING:
     import jax
-    from typer.testing import Result
 
     from jaxcslc import CSLC
     from jaxcslc.manipulator import LinkParameters
+    from scripts.tools.invoke import Result
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -34,11 +34,9 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 def run(*arguments: str | Path) -> "Result":
     """Runs the command `jaxcslc` with these arguments."""
-    from typer.testing import CliRunner
+    from scripts.tools.invoke import invoke
 
-    from jaxcslc.cli._app import app
-
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+    return invoke(*arguments)
 
 
 @pytest.fixture

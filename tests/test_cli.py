@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import Result
 
 import jaxcslc as jc
 import sim
 from jaxcslc.manipulator import fixed_together
 from jaxcslc.report import compare_reports
+from scripts.tools.invoke import Result
 from tests.conftest import run
 
 
@@ -203,7 +203,7 @@ class TestReidentify:
         [
             (["--reidentify", "viscous"], ["--reidentify and --previous", "both or neither"]),
             (["--previous", "KNOWN"], ["--reidentify and --previous", "both or neither"]),
-            (["--possible", "often"], ["--possible: expected auto, always, never, got 'often'"]),
+            (["--possible", "often"], ["--physical: expected auto, always, never, got 'often'"]),
             (["--prior", "none.toml"], ["none.toml", "no such"]),
             (["--estimator", "both"], ["--estimator: expected least-squares, maximum-likelihood"]),
             (["--reidentify", "oil", "--previous", "KNOWN"], ["'oil'", "viscous, dry"]),

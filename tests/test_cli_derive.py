@@ -67,12 +67,6 @@ def test_a_long_chain_is_derived_without_its_tables(tmp_path: Path) -> None:
     assert not (tmp_path / "out" / "tables.json").exists()
 
 
-def test_help_keeps_units_and_tables_in_brackets() -> None:
-    """Rich would take them for markup and leave them out."""
-    text = " ".join(run("identify", "--help").output.split())
-    assert "of this period [s]" in text and "with [equations]" in text
-
-
 def test_numbers_that_no_machine_word_holds(tmp_path: Path) -> None:
     """TOML's integers have any length: they are numbers like others."""
     path = tmp_path / "arm.toml"

@@ -422,7 +422,7 @@ def test_importing_the_library_leaves_everything_as_it_was() -> None:
         "assert dict(jax.config.values) == before; "
         "heavy = {'sim', 'mujoco', 'matplotlib', 'cvxpy', 'clarabel', 'pandas', 'tomlkit', "
         "'sympy', 'optimistix', 'scipy.interpolate', 'scipy.optimize', 'scipy.signal', "
-        "'scipy.special', 'tqdm', 'typer', 'jaxcslc.training', 'jaxcslc.training'}; "
+        "'scipy.special', 'tqdm', 'jaxcslc.training', 'jaxcslc.training'}; "
         "assert not heavy & sys.modules.keys(), heavy & sys.modules.keys(); "
         "assert len([getattr(jaxcslc, name) for name in of_systems]) >= 6; "  # made of SymPy
         "assert heavy & sys.modules.keys() == {'sympy'}, heavy & sys.modules.keys(); "

@@ -4,14 +4,11 @@ import re
 import shlex
 import shutil
 from pathlib import Path
-from typing import cast
 
-import click
 import pytest
-import typer
 
 import jaxcslc as jc
-from jaxcslc.cli._app import app
+from jaxcslc.cli._app import command_named
 from tests.conftest import run
 from tests.recordings.conftest import write_bag
 
@@ -130,11 +127,10 @@ def test_the_commands_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_the_commands_of_the_readme_have_their_options() -> None:
     """Every line names a command and options that exist."""
-    commands = cast("click.Group", typer.main.get_command(app)).commands
     lines = command_lines()
     assert len(lines) >= 6
     for line in lines:
         _, command, *arguments = shlex.split(line, comments=True)
-        known = {name for option in commands[command].params for name in option.opts}
+        known = {name for some in command_named(command).parameters for name in some.names}
         used = {argument for argument in arguments if argument.startswith("-")}
         assert used <= known, line

@@ -1,8 +1,11 @@
 """The command `jaxcslc`: options, one call of the library, and printed results.
 
-- `_app`: the command line; `_process`: settings of its process.
-- `_check`, `_compare`, `_derive`, `_excite`, `_export`, `_identify`, `_payload`: the commands.
-- `_common`, `_inputs`: what commands share; how they read robots and recordings.
+- `_app`: the program; `_process`: settings of its process.
+- `_check`, `_compare`, `_derive`, `_example`, `_excite`, `_export`, `_identify`, `_payload`,
+  `_completion`: the commands.
+- `_options`, `_help`: options from annotations, and their help.
+- `_common`, `_inputs`, `_project`: what commands share; how they read robots, recordings and
+  `jaxcslc.toml`.
 """
 
 import sys
@@ -20,21 +23,12 @@ def main() -> None:
         # Imported here: Ctrl-C during an import then ends the command as quietly as later on.
         from ._app import run
 
-        try:
-            run()
-        except SystemExit as end:
-            if end.code == _INTERRUPTED:  # typer ends so, without a word
-                _say_interrupted()
-            end_process(end)
+        end_process(run())
     except (KeyboardInterrupt, ImportError) as error:
         if not _is_interruption(error):
             raise
-        _say_interrupted()
+        print("jaxcslc: interrupted", file=sys.stderr)
         raise SystemExit(_INTERRUPTED) from None
-
-
-def _say_interrupted() -> None:
-    print("jaxcslc: interrupted", file=sys.stderr)
 
 
 def _is_interruption(error: BaseException | None) -> bool:

@@ -1,61 +1,99 @@
-"""Command line of all commands, and its run in this process."""
+"""The program: its commands by name, and a run in this process."""
 
+import os
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Annotated
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
-import jax
-import typer
-
-from .._cache import cache_folder
+from ._errors import one_line_errors
+from ._help import program_text
+from ._options import UsageError, did_you_mean
 from ._process import collect_garbage
 
 
 if TYPE_CHECKING:
-    app: typer.Typer
+    from ._common import Command
 
-# The module of each command: imported when it is typed, or when all commands are listed.
-_COMMANDS = {
-    "example": "_example",
-    "derive": "_derive",
-    "check": "_check",
-    "identify": "_identify",
-    "compare": "_compare",
-    "excite": "_excite",
-    "export": "_export",
-    "payload": "_payload",
-    "constants": "_payload",
+# Of each command: its module, imported when it is typed, and its summary.
+_GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "start": {
+        "example": ("_example", "Write a robot file and two logs to try the commands on."),
+        "check": ("_check", "Check recordings for wrong units, signs, times and samples."),
+    },
+    "identify": {
+        "identify": ("_identify", "Identify a robot's parameters from recordings."),
+        "compare": ("_compare", "Compare two identifications."),
+        "payload": ("_payload", "Identify a payload that the arm carries."),
+        "torque-constants": ("_payload", "Identify torque constants of motor currents."),
+    },
+    "use": {
+        "export": ("_export", "Write a robot file with identified parameters, or C code."),
+        "excite": ("_excite", "Design the motion to record next."),
+        "derive": ("_derive", "Derive the inverse dynamics, without a recording."),
+        "completion": ("_completion", "Print the completion script of a shell."),
+    },
 }
+_MODULES = {name: module for row in _GROUPS.values() for name, (module, _) in row.items()}
+COMMANDS = tuple(_MODULES)
+"""Names of the commands."""
+SUMMARIES = {
+    title: {name: summary for name, (_, summary) in row.items()} for title, row in _GROUPS.items()
+}
+"""Summaries of the commands, by what they are for."""
+
+_RENAMED = MappingProxyType({"constants": "torque-constants"})  # names of before
 
 
-def application(commands: Iterable[str] = _COMMANDS) -> typer.Typer:
-    """Return the command line with some of its commands."""
-    made = typer.Typer(
-        add_completion=False,
-        no_args_is_help=True,
-        pretty_exceptions_enable=False,
-        rich_markup_mode=None,  # it takes [s] for markup, and leaves it out
-        help="Derive a robot's inverse dynamics, and identify its coefficients from recordings.",
-    )
-    made.callback()(_common)
-    for name in commands:
-        module = import_module(f".{_COMMANDS[name]}", __package__)
-        made.command(name)(getattr(module, f"{name}_command"))
-    return made
+def command_named(name: str) -> "Command":
+    """Return a command.
+
+    **Raises** `UsageError` for a name that none has.
+    """
+    name = _RENAMED.get(name, name)
+    if name not in _MODULES:
+        raise UsageError(f"no command {name!r}{did_you_mean(name, COMMANDS)}")
+    module = import_module(f".{_MODULES[name]}", __package__)
+    return getattr(module, f"{name.replace('-', '_')}_command")
 
 
-def __getattr__(name: str) -> typer.Typer:
-    """Return `app`, the command line with all commands."""
-    if name != "app":
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return globals().setdefault("app", application())
+def run(words: Sequence[str] | None = None, *, configure: bool = True) -> int:
+    """Run the program in this process.
+
+    - `words`: of the command line; by default those of the process.
+    - `configure`: whether to change settings of the process and of JAX; tests have their own.
+
+    **Returns** the status: 0, or 2 for wrong input, which is one line on standard error; 1 of
+    `check` for recordings that look wrong, and where nobody reads the output.
+    """
+    words = sys.argv[1:] if words is None else words
+    try:
+        with one_line_errors() as status:
+            if not words or words[0] in ("--help", "--help-all", "-h"):
+                print(program_text(SUMMARIES))
+            elif words[0] == "--version":
+                print(version("jaxcslc"))
+            else:
+                command = command_named(words[0])
+                if configure:
+                    _configure()
+                return command.run(words[1:])
+        sys.stdout.flush()
+        return status[0] if status else 0
+    except BrokenPipeError:  # `head` closes the pipe early
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
 
 
-def run() -> None:
-    """Run the command in this process, whose settings of JAX it changes."""
+def _configure() -> None:
+    """Set JAX up for identification."""
+    import jax
+
+    from .._cache import cache_folder
+
     # Overflow inside a computation is no news for a user: the report judges what comes out.
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     jax.config.update("jax_enable_x64", True)  # identification is float64 work
@@ -64,24 +102,4 @@ def run() -> None:
     # Keep even the quickest compilations: there are dozens of them, and a second run has none.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    typed = "".join(sys.argv[1:2])
-    command = application(
-        [typed] if typed in _COMMANDS else () if typed == "--version" else _COMMANDS
-    )
     collect_garbage()
-    command()
-
-
-def _version(asked: bool) -> bool:
-    if asked:
-        typer.echo(version("jaxcslc"))
-        raise typer.Exit
-    return asked
-
-
-def _common(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
-    ] = False,
-) -> None:
-    del version

@@ -3,29 +3,28 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
+from .._plain_data import record_document
 from ..checks import check
-from ._common import command, progress
+from ._common import Context, Output, command
 from ._inputs import Drives, RecordingOptions, RobotArgument, RobotPart, robot_notes
+from ._options import argument
 
 
-@command
+@command("checks", "check arm.urdf log.csv", "check arm.urdf morning.csv noon.csv --fix gripper")
 def check_command(
+    context: Context,
     robot: RobotArgument,
-    recordings: Annotated[
-        list[Path], typer.Argument(metavar="RECORDING...", help="Recordings of the robot.")
-    ],
+    recordings: Annotated[list[Path], argument("RECORDING...", "Recordings of the robot.")],
     part: RobotPart,
     drives: Drives,
     options: RecordingOptions,
-) -> None:
+) -> Output:
     """Check recordings for wrong units, signs, times and samples, before anything is identified.
 
-    Prints what was read, and what looks wrong, with the likely cause and what to do about it.
-    Exit code 0: nothing looks wrong; 1: something does; 2: wrong input.
+    Prints what was read, and what looks wrong, with the likely cause and what to do about it. Exit
+    code 0: nothing looks wrong; 1: something does; 2: wrong input.
     """
-    with progress("reading") as step:
+    with context.progress("reading") as step:
         manipulator = part.read(robot)
         names = [str(path) for path in recordings]
         read = [options.read(path, manipulator) for path in recordings]
@@ -35,6 +34,8 @@ def check_command(
         page = check(network, read, names, progress=step)
     named = zip(names, read, strict=True)
     notes = [f"note: {name}: {note}" for name, recording in named for note in recording.notes]
-    typer.echo("\n".join([str(page), *robot_notes(manipulator), *notes]))
-    if page.findings:
-        raise typer.Exit(1)
+    return Output(
+        "\n".join([str(page), *robot_notes(manipulator), *notes]),
+        lambda: record_document(page),
+        status=1 if page.findings else 0,
+    )

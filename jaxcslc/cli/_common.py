@@ -1,32 +1,27 @@
-"""Parts of all commands: options from dataclasses, one-line errors, progress, and their words."""
+"""Parts of all commands: a command, its call and result, and progress."""
 
 import contextlib
 import dataclasses
 import functools
 import inspect
+import json
 import shlex
 import sys
 import time
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from pathlib import Path
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
-import typer
-from rich.console import Console
-
-from .._environment import MissingExtraError
 from .._scratch import check_output_folder
+from ._errors import one_line_errors
+from ._help import ALL, help_text
+from ._options import Parameter, UsageError, Values, assign, option, parameters_of, parse
+from ._project import Project
 
-
-if TYPE_CHECKING:
-    CommandContext = typer.Context
-else:
-    # What commands get is of the class below it, which a checker of annotations insists on.
-    CommandContext = typer.Context.__mro__[1]
 
 # What commands on systems that are not robots take.
-_SYSTEM_PARAMETERS = {"robot", "train", "validate", "output", "settings"}
+_SYSTEM_PARAMETERS = {"robot", "train", "validate", "output", "settings", "json", "quiet"}
 
 # Seconds before the first line, and between lines while a step goes on.
 FIRST, BETWEEN = 30.0, 30.0
@@ -44,80 +39,230 @@ PASSED = {
 }
 
 
-def command(function: Callable[..., None]) -> Callable[..., None]:
-    """Return a command with an option for each field of the dataclasses among its parameters.
+@dataclasses.dataclass(frozen=True)
+class OutputOptions:
+    """What a command prints: options of every command."""
 
-    Fields are annotated as parameters of a command are. The function is called with the
-    dataclasses; errors that a user can correct become one line.
+    json: Annotated[
+        bool, option(group="output", help="Print the result as JSON on standard output.")
+    ] = False
+    quiet: Annotated[bool, option("-q", "--quiet", group="output", help="Print errors alone.")] = (
+        False
+    )
 
-    >>> @dataclasses.dataclass
-    ... class Size:
-    ...     width: float
-    ...     height: float = 1.0
-    >>> @command
-    ... def area(name: str, size: Size) -> None:
-    ...     print(name, size.width * size.height)
-    >>> list(inspect.signature(area).parameters)
-    ['name', 'width', 'height']
-    >>> area(name="table", width=2.0, height=3.0)
-    table 6.0
+
+@dataclasses.dataclass(frozen=True)
+class Output:
+    """Result of a command.
+
+    - `text`: for people.
+    - `data`: for programs, computed if it is asked for.
+    - `files`: that were written.
+    - `status`: of the process.
     """
-    hints = get_type_hints(function, include_extras=True)
-    records: dict[str, Any] = {
-        name: kind for name, kind in hints.items() if dataclasses.is_dataclass(kind)
-    }
-    parameters: list[inspect.Parameter] = []
-    for name, parameter in inspect.signature(function).parameters.items():
-        record = records.get(name)
-        own = [parameter] if record is None else inspect.signature(record).parameters.values()
-        kinds = hints if record is None else get_type_hints(record, include_extras=True)
-        parameters += [
-            some.replace(annotation=kinds[some.name], kind=inspect.Parameter.KEYWORD_ONLY)
-            for some in own
-        ]
 
-    @functools.wraps(function)
-    def called(**values: Any) -> None:
-        for name, record in records.items():
-            fields = [field.name for field in dataclasses.fields(record)]
-            values[name] = record(**{field: values.pop(field) for field in fields})
-        with one_line_errors():
-            function(**values)
+    text: str
+    data: Callable[[], Mapping[str, Any]] = dict
+    files: Sequence[Path] = ()
+    status: int = 0
 
-    called.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    vars(called)["__signature__"] = inspect.Signature(parameters)
-    return called
+    def print(self, options: OutputOptions) -> None:
+        """Print the result as the options say."""
+        if options.json:
+            from .._plain_data import plain
+
+            document = {"files": [str(path) for path in self.files], **self.data()}
+            print(json.dumps(plain(document), indent=2, ensure_ascii=False))
+        elif not options.quiet:
+            print("\n\n".join([self.text, *([wrote(self.files)] if self.files else [])]))
 
 
-@contextlib.contextmanager
-def one_line_errors() -> Generator[None]:
-    """Print errors that a user can correct as one line on standard error, with exit code 2."""
-    try:
-        yield
-    except (BrokenPipeError, typer.Exit):  # `head` closes the pipe early; typer exits quietly
-        raise
-    except (MissingExtraError, ValueError, RuntimeError, OSError) as error:
-        message = " ".join(str(error).split()) or type(error).__name__
-        print(f"jaxcslc: {message}", file=sys.stderr)
-        raise typer.Exit(2) from None
+@dataclasses.dataclass(frozen=True)
+class Context:
+    """Call of a command.
 
-
-@contextlib.contextmanager
-def progress(first: str, *, estimated: bool = True) -> Generator[Callable[[str], None]]:
-    """Show the current step on standard error.
-
-    On a terminal it changes. Elsewhere a line is written now and then, from half a minute on.
-
-    - `estimated`: whether such a line says what is left, as far as it is known.
+    - `name`: of the command.
+    - `parameters`: that it has; `values`: of all of them.
+    - `typed`: names of those on the command line.
+    - `stated`: and of those that `jaxcslc.toml` states.
     """
-    console = Console(stderr=True)
-    if console.is_terminal:
-        with console.status(first) as status:
-            yield lambda text: status.update(text)
-        return
-    write: Callable[[str], None] = lambda line: print(line, file=sys.stderr, flush=True)
-    with progress_lines(first, write, passed=PASSED if estimated else {}) as step:
-        yield step
+
+    name: str
+    parameters: Sequence[Parameter]
+    values: Mapping[str, Any]
+    typed: frozenset[str]
+    stated: frozenset[str]
+
+    @property
+    def output(self) -> OutputOptions:
+        """Options of what is printed."""
+        return OutputOptions(self.values["json"], self.values["quiet"])
+
+    def text(self) -> str:
+        """Return the command line that does the same without `jaxcslc.toml`, defaults omitted."""
+        words = ["jaxcslc", self.name]
+        for parameter in sorted(self.parameters, key=lambda some: not some.option.positional):
+            if parameter.name not in self.typed | self.stated:
+                continue
+            value = self.values[parameter.name]
+            if isinstance(value, bool):
+                words.append(parameter.shown_name.replace("--", "--" if value else "--no-", 1))
+                continue
+            for text in value if parameter.many else [value]:
+                words += [*([] if parameter.option.positional else parameter.names[:1]), str(text)]
+        return shlex.join(words)
+
+    @contextlib.contextmanager
+    def progress(self, first: str, *, estimated: bool = True) -> Generator[Callable[[str], None]]:
+        """Show the current step on standard error, unless `--quiet` is given.
+
+        On a terminal it changes. Elsewhere a line is written now and then, from half a minute on.
+
+        - `estimated`: whether such a line says what is left, as far as it is known.
+        """
+        from rich.console import Console
+
+        console = Console(stderr=True)
+        if self.output.quiet:
+            yield lambda text: None
+        elif console.is_terminal:
+            with console.status(first) as status:
+                yield lambda text: status.update(text)
+        else:
+            write: Callable[[str], None] = lambda line: print(line, file=sys.stderr, flush=True)
+            with progress_lines(first, write, passed=PASSED if estimated else {}) as step:
+                yield step
+
+    def check_no_robot_options(self, name: str) -> None:
+        """**Raises** `ValueError` for an option of robots in a command on a system."""
+        for parameter in self.parameters:
+            if parameter.name in self.typed - _SYSTEM_PARAMETERS:
+                value = self.values[parameter.name]
+                shown = parameter.typed if isinstance(value, bool) else parameter.shown_name
+                raise ValueError(f"{shown} is for robots; {name} describes another system")
+
+    def check_output(self, folder: Path, written: Iterable[Path]) -> None:
+        """Check that results can be written.
+
+        - `written`: the files that the command writes.
+
+        **Raises** `ValueError` if they cannot go into a folder, or would replace what is read.
+        """
+        check_output_folder(folder)
+        replaced = {path.resolve() for path in written}
+        for name, value in self.values.items():
+            entries = value if isinstance(value, list | tuple) else [value]
+            read = [Path(x) for x in entries if isinstance(x, Path) or name == "robot"]
+            for path in read if name != "output" else ():
+                # A folder stands for what identify wrote into it.
+                file = path / "identification.json" if path.is_dir() else path
+                if file.resolve() in replaced:
+                    raise ValueError(
+                        f"{file}: is read, and the results would replace it; expected another"
+                        " --output"
+                    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Command:
+    """Command of `jaxcslc`: a function, whose parameters and docstring are its options and help.
+
+    Its first parameter is the `Context`. Others have options, or are dataclasses whose fields do.
+
+    - `function`: returns an `Output`.
+    - `page`: of the documentation, without its suffix.
+    - `examples`: command lines.
+    """
+
+    function: Callable[..., Output]
+    page: str
+    examples: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """The name, as it is typed."""
+        return self.function.__name__.removesuffix("_command").replace("_", "-")
+
+    @property
+    def about(self) -> str:
+        """What the command does: the function's docstring."""
+        return self.function.__doc__ or ""
+
+    @functools.cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Options and arguments."""
+        return (*parameters_of(self.function), *parameters_of(OutputOptions))
+
+    def help(self, group: str = "") -> str:
+        """Return its help: common options, those of a group, or `ALL`.
+
+        **Raises** `UsageError` for an unknown group.
+        """
+        return help_text(self.name, self.about, self.parameters, self.examples, self.page, group)
+
+    def run(self, words: Sequence[str]) -> int:
+        """Run the command, print what comes of it, and return the status of the process."""
+        with one_line_errors(self.name, self.page) as status:
+            if (group := asked_group(words)) is not None:
+                print(self.help(group))
+                return 0
+            context = self.context(words)
+            output = self.function(context, **self._arguments(context.values))
+            output.print(context.output)
+            return output.status
+        return status[0]
+
+    def context(self, words: Sequence[str]) -> Context:
+        """Return the call that words of the command line make.
+
+        Values are typed, or else stated by `jaxcslc.toml` in this folder, or else defaults.
+
+        **Raises** `UsageError` for words that it cannot be called with.
+        """
+        parameters = self.parameters
+        typed, others = parse(self.name, parameters, words)
+        names = {parameter.name for parameter in parameters}
+        stated: Values = {}
+        if "robot" in names:
+            stated, others = Project.here().applied(others)
+        typed |= assign(parameters, others)
+        stated = {name: stated[name] for name in stated.keys() & names - typed.keys()}
+        values = {some.name: some.default for some in parameters} | stated | typed
+        for parameter in parameters:
+            if parameter.required and parameter.name not in stated | typed:
+                raise UsageError(f"missing {parameter.shown_name} {parameter.metavar}")
+        return Context(self.name, parameters, values, frozenset(typed), frozenset(stated))
+
+    def _arguments(self, values: Mapping[str, Any]) -> Values:
+        """Return the function's arguments, with dataclasses made of their fields."""
+        hints, arguments = get_type_hints(self.function), {}
+        for name in inspect.signature(self.function).parameters:
+            if name in values:
+                arguments[name] = values[name]
+            elif (kind := hints[name]) is not Context:
+                fields = [field.name for field in dataclasses.fields(kind)]
+                arguments[name] = kind(**{field: values[field] for field in fields})
+        return arguments
+
+
+def command(page: str, *examples: str) -> Callable[[Callable[..., Output]], Command]:
+    """Return a decorator that makes a `Command` of a function.
+
+    - `page`: of the documentation that explains it.
+    - `examples`: command lines for its help, without `jaxcslc`.
+    """
+    return lambda function: Command(function, page, examples)
+
+
+def asked_group(words: Sequence[str]) -> str | None:
+    """Return the group whose help is asked for: empty for common options; None if none is."""
+    if "--help-all" in words:
+        return ALL
+    for asked in ("--help", "-h"):
+        if asked in words:
+            following = words[words.index(asked) + 1 :]
+            return following[0] if following and not following[0].startswith("-") else ""
+    return None
 
 
 @contextlib.contextmanager
@@ -186,66 +331,6 @@ def names_in(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
 
 
-def command_text(context: CommandContext) -> str:
-    """Return the command line that a command was called by, defaults left out."""
-    words, typed = ["jaxcslc", context.info_name or ""], typed_options(context)
-    parameters = [some for some in context.command.params if some.name in typed]
-    for parameter in sorted(parameters, key=lambda some: some.param_type_name != "argument"):
-        value = context.params[parameter.name or ""]
-        option = parameter.opts[:1] if parameter.param_type_name == "option" else []
-        if isinstance(value, bool):
-            words.append((parameter.opts if value else parameter.secondary_opts)[0])
-            continue
-        for text in value if isinstance(value, list | tuple) else [value]:
-            words += [*option, str(text)]
-    return shlex.join(words)
-
-
-def choice_of(option: str, value: str, choices: tuple[Any, ...]) -> Any:
-    """Return the value, one of the choices.
-
-    **Raises** `ValueError` for another.
-    """
-    if value not in choices:
-        raise ValueError(f"{option}: expected {', '.join(choices)}, got {value!r}")
-    return value
-
-
 def wrote(paths: Iterable[Path]) -> str:
     """Return the line that names the files that a command wrote."""
     return "wrote " + ", ".join(map(str, paths))
-
-
-def typed_options(context: CommandContext) -> set[str]:
-    """Names of the parameters that stand on the command line, defaults left out."""
-    sources = {name: context.get_parameter_source(name) for name in context.params}
-    return {name for name, source in sources.items() if source and source.name == "COMMANDLINE"}
-
-
-def check_no_robot_options(context: CommandContext, name: str) -> None:
-    """**Raises** `ValueError` for an option of robots in a command on a system."""
-    typed = typed_options(context) - _SYSTEM_PARAMETERS
-    for parameter in context.command.params:
-        if parameter.name in typed:
-            value = context.params[parameter.name]
-            options = parameter.secondary_opts if value is False else parameter.opts
-            raise ValueError(f"{options[0]} is for robots; {name} describes another system")
-
-
-def check_output(context: CommandContext, folder: Path, written: Iterable[Path]) -> None:
-    """**Raises** `ValueError` if results cannot go into a folder, or would replace what is read.
-
-    - `written`: the files that the command writes.
-    """
-    check_output_folder(folder)
-    replaced = {path.resolve() for path in written}
-    for name, value in context.params.items():
-        entries = value if isinstance(value, list | tuple) else [value]
-        read = [Path(x) for x in entries if isinstance(x, Path) or name == "robot"]
-        for path in read if name != "output" else ():
-            # A folder stands for what identify wrote into it.
-            file = path / "identification.json" if path.is_dir() else path
-            if file.resolve() in replaced:
-                raise ValueError(
-                    f"{file}: is read, and the results would replace it; expected another --output"
-                )

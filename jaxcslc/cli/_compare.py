@@ -3,35 +3,34 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from ..report import compare_reports
-from ._common import command, wrote
+from ._common import Context, Output, command
+from ._options import UsageError, argument, option
 
 
-@command
+@command("report", "compare before after", "compare before after -o compared.html")
 def compare_command(
+    context: Context,
     first: Annotated[
-        Path,
-        typer.Argument(
-            metavar="A", help="Folder that identify wrote, or the identification.json in it."
-        ),
+        Path, argument("A", "Folder that identify wrote, or the identification.json in it.")
     ],
-    second: Annotated[Path, typer.Argument(metavar="B", help="The other.")],
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="HTML file to write.")
-    ] = None,
-) -> None:
+    second: Annotated[Path, argument("B", "The other.")],
+    output: Annotated[Path | None, option("-o", "--output", help="HTML file to write.")] = None,
+) -> Output:
     """Compare two identifications: coefficients, errors and settings side by side.
 
     Differences of coefficients are in standard errors, systematic errors included.
     """
     if output is not None:
         if output.suffix.lower() not in (".html", ".htm"):
-            raise ValueError(f"{output}: expected a name that ends in .html")
+            raise UsageError(f"{output}: expected a name that ends in .html")
         if not output.absolute().parent.is_dir() or output.is_dir():
             raise ValueError(f"{output}: expected an HTML file in a folder that exists")
     comparison = compare_reports(first, second)
     if output is not None:
         comparison.save(output)
-    typer.echo(str(comparison) + ("" if output is None else f"\n\n{wrote([output])}"))
+    return Output(
+        str(comparison),
+        lambda: {"verdict": comparison.verdict[1], "coefficients": comparison.rows},
+        [] if output is None else [output],
+    )

@@ -3,10 +3,8 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from ..report import DerivationReport
-from ._common import CommandContext, check_no_robot_options, check_output, command, wrote
+from ..report import DerivationReport, coefficient_rows
+from ._common import Context, Output, command
 from ._inputs import (
     Drives,
     LengthsOption,
@@ -15,36 +13,39 @@ from ._inputs import (
     is_system,
     with_notes,
 )
+from ._options import option
 
 
-@command
+@command("robots", "derive arm.urdf", "derive panda --friction viscous,dry,static -o tables")
 def derive_command(
-    context: CommandContext,
+    context: Context,
     robot: RobotOrSystemArgument,
     part: RobotPart,
     drives: Drives,
     lengths: LengthsOption = "auto",
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Folder for the tables, as files.")
+        Path | None,
+        option("-o", "--output", metavar="FOLDER", help="Folder for the tables, as files."),
     ] = None,
-) -> None:
+) -> Output:
     """Derive a robot's inverse dynamics: its inputs, links and named coefficients.
 
     Or separate the unknown constants of another system from its variables.
     """
     if output is not None:
-        check_output(context, output, ())
+        context.check_output(output, ())
     if is_system(robot):
         from ..systems import load_system, save_derivation  # robots need not wait for it
 
-        check_no_robot_options(context, robot)
+        context.check_no_robot_options(robot)
         system = load_system(robot)
-        typer.echo(system)
+        network, text = system.network, str(system)
         paths = () if output is None else save_derivation(system, output)
     else:
         network = drives.network(part.read(robot), lengths)
         report = DerivationReport.of(network)
-        typer.echo(with_notes(report, network.robot))
+        text = with_notes(report, network.robot)
         paths = () if output is None else report.save(output)
-    if paths:
-        typer.echo(f"\n{wrote(paths)}")
+    return Output(
+        text, lambda: {"name": network.name, "coefficients": coefficient_rows(network)}, paths
+    )

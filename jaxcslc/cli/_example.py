@@ -3,38 +3,42 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
+from ._common import Context, Output, command
+from ._options import argument, option
 
-from ._common import one_line_errors
 
-
+@command("tutorial", "example", "example ur5 -o trial")
 def example_command(
+    context: Context,
     arm: Annotated[
-        Literal["panda", "puma560", "ur5"], typer.Argument(help="The arm.", metavar="ARM")
+        Literal["panda", "puma560", "ur5"], argument("ARM", "panda, puma560 or ur5.")
     ] = "panda",
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o", "--output", help="New folder for the files; named as the arm if omitted."
+        option(
+            "-o",
+            "--output",
+            metavar="FOLDER",
+            help="New folder for the files. By default named as the arm.",
         ),
     ] = None,
-) -> None:
+) -> Output:
     """Write a robot file and two simulated logs to try the other commands on.
 
     The logs are in the format of the arm's own software. truth.json holds the true coefficients.
     """
     from ..examples import write_example
 
+    del context
     folder = Path(arm) if output is None else output
-    with one_line_errors():
-        example = write_example(arm, folder)
-    robot = example.robot.name
-    files = ", ".join(
-        path.name for path in (example.robot, example.train, example.validation, example.truth)
+    example = write_example(arm, folder)
+    files = (example.robot, example.train, example.validation, example.truth)
+    commands = next_commands(folder, example.robot.name)
+    names = ", ".join(path.name for path in files)
+    return Output(
+        "\n".join([f"wrote {folder}: {names}", "", "Try:", *(f"  {line}" for line in commands)]),
+        lambda: {"files": [str(path) for path in files], "next": commands},
     )
-    typer.echo(f"wrote {folder}: {files}\n\nTry:")
-    for line in next_commands(folder, robot):
-        typer.echo(f"  {line}")
 
 
 def next_commands(folder: Path, robot: str) -> list[str]:
@@ -46,5 +50,5 @@ def next_commands(folder: Path, robot: str) -> list[str]:
         f"jaxcslc identify {robot} train.csv --validate validation.csv -o results",
         f"jaxcslc export {robot} results -o {stem}_identified.{suffix}",
         f"jaxcslc export {robot} results --c -o {stem}.c",
-        f"jaxcslc excite {robot} --prior results --duration 10 -o next.csv",
+        f"jaxcslc excite {robot} --previous results --duration 10 -o next.csv",
     ]

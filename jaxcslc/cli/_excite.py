@@ -3,14 +3,11 @@
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
-import typer
 
 from ..excitation import (
-    CRITERIA,
-    FAMILIES,
     Effort,
     Goal,
     Knowledge,
@@ -28,26 +25,25 @@ from ..manipulator import Manipulator
 from ..network import CSLC
 from ..recordings import Sampling
 from ..report import load_report
-from ._common import (
-    CommandContext,
-    check_output,
-    choice_of,
-    command,
-    command_text,
-    names_in,
-    progress,
-    typed_options,
-    wrote,
-)
+from ._common import Context, Output, command, names_in
 from ._inputs import (
     ColumnsOption,
     Drives,
     LengthsOption,
+    LimitsOption,
     RobotArgument,
     RobotPart,
     recording_of,
     recordings_of,
 )
+from ._options import UsageError, option
+
+
+# As `CRITERIA` and `FAMILIES` of the library, which a test compares.
+Criterion = Literal[
+    "overall", "error", "worst", "torque", "bodies", "A", "D", "E", "condition", "scaled_condition"
+]
+Family = Literal["splines", "fourier", "periodic", "moves"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,168 +52,219 @@ class MotionOptions:
 
     output: Annotated[
         Path,
-        typer.Option(
+        option(
             "-o",
             "--output",
-            help="CSV file of the motion; .yaml, .json, .h and .html go beside it.",
+            help="CSV file of the motion; .yaml, .json, .h and .html go next to it.",
         ),
     ] = Path("motion.csv")
-    duration: Annotated[float, typer.Option(help="Length of the motion [s].")] = 10.0
-    rate: Annotated[
-        float,
-        typer.Option(
-            help="Rows a second, and of the recording [Hz]; that of --prior or --after if omitted.",
+    duration: Annotated[float, option(metavar="SECONDS", help="Length of the motion.")] = 10.0
+    limits: LimitsOption = None
+    previous: Annotated[
+        Path | None,
+        option("--previous", "--prior", help="Result of identify: what is known already."),
+    ] = None
+    recorded: Annotated[
+        list[Path] | None,
+        option(
+            "--recorded",
+            "--after",
+            group="goal",
+            help="Earlier recordings, which are identified first, instead of --previous. May be"
+            " repeated.",
         ),
-    ] = 500.0
-    family: Annotated[
-        str,
-        typer.Option(
-            metavar="splines|fourier|periodic|moves",
-            help="B-splines, a Fourier series, one that ends where it starts, or minimum-jerk"
-            " moves.",
-        ),
-    ] = "splines"
-    wanted: Annotated[
+    ] = None
+    parameters: Annotated[
         str | None,
-        typer.Option(
+        option(
+            "--parameters",
             "--for",
+            group="goal",
             metavar="NAMES",
-            help="Coefficients that matter, by group or name as in viscous,kd5; all if omitted.",
+            help="Coefficients that matter, by group or name as in viscous,kd5. By default all.",
         ),
     ] = None
     payload: Annotated[
         float | None,
-        typer.Option(
+        option(
+            group="goal",
             metavar="KG",
-            help="Design for a payload of about this mass at the last link, which payload"
-            " identifies: its coefficients are those that matter, unless --for names others. What"
-            " --prior or --after say of the arm counts as known.",
+            help="Design for identifying a payload of about this mass at the last link. Parameters"
+            " of the arm from --previous count as known.",
+        ),
+    ] = None
+    target: Annotated[
+        float | None,
+        option(
+            "--target",
+            "--reach",
+            group="goal",
+            metavar="PERCENT",
+            help="Target relative standard error. Does nothing if it is already met.",
         ),
     ] = None
     criterion: Annotated[
-        str,
-        typer.Option(
-            metavar="overall|error|worst|torque|bodies|A|D|E|condition|scaled_condition",
-            help="What is made small: mean or largest standard error over size, error of torques"
-            " on --task, the mean of the first and the third (overall), or what other designs use"
-            " (docs/excitation.md).",
+        Criterion,
+        option(
+            group="goal",
+            metavar="CRITERION",
+            help="What is minimised: error or worst, the mean or largest relative standard error;"
+            " torque, the error of torques on --task; overall, the mean of error and torque;"
+            " bodies, A, D, E, condition or scaled_condition (docs/excitation.md).",
         ),
     ] = "overall"
-    prior: Annotated[
+    task: Annotated[
         Path | None,
-        typer.Option(
-            "--prior", help="identification.json of earlier recordings: what is known already."
+        option(
+            group="goal",
+            help="Recording of the motion on which torques matter. By default random motions"
+            " within the limits.",
         ),
     ] = None
-    after: Annotated[
-        list[Path] | None,
-        typer.Option(help="Earlier recordings, which are identified first; may be repeated."),
-    ] = None
-    reach: Annotated[
+    estimator: Annotated[
+        Literal["maximum-likelihood", "least-squares"],
+        option(
+            group="goal",
+            renamed=(("likelihood", "maximum-likelihood"), ("regression", "least-squares")),
+            help="The estimator that the recording is for.",
+        ),
+    ] = "maximum-likelihood"
+    rate: Annotated[
         float | None,
-        typer.Option(
-            metavar="PERCENT",
-            help="Standard error over size that all coefficients of --for should reach: nothing is"
-            " designed where they have.",
+        option(
+            group="motion",
+            metavar="HZ",
+            help="Samples per second of motion and recording. By default that of --previous, or"
+            " 500.",
         ),
     ] = None
-    limits: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="LIMITS.TOML",
-            help="Limits of joints, and surroundings to keep away from; those of the robot's file"
-            " if omitted.",
+    family: Annotated[
+        Family,
+        option(
+            group="motion",
+            help="B-splines, a Fourier series, one that ends where it starts, or minimum-jerk"
+            " moves.",
+        ),
+    ] = "splines"
+    start: Annotated[
+        str | None,
+        option(
+            group="motion",
+            metavar="NUMBERS",
+            help="Pose to start from, one number per joint [rad or m]. By default searched for.",
         ),
     ] = None
+    seed: Annotated[
+        int, option(group="motion", help="Seed of random motions; the same gives the same motion.")
+    ] = 0
+    starts: Annotated[
+        int,
+        option(
+            group="motion",
+            least=1,
+            help="Number of random motions that the search starts from; the best is taken.",
+        ),
+    ] = 3
     floor: Annotated[
         bool,
-        typer.Option(
-            help="Keep above the plane through the base's foot, or the floor that --limits states.",
+        option(
+            group="motion",
+            help="Do not keep above the floor: the plane through the base's foot, or that of"
+            " --limits.",
         ),
     ] = True
     torque_noise: Annotated[
         str | None,
-        typer.Option(
+        option(
+            group="noise",
             metavar="NUMBERS",
-            help="Standard deviation of torques, one or one a joint [N m]; of --prior or --after,"
-            " or 1 % of the torque limits if omitted.",
+            help="Standard deviation of torques, one number or one per joint [N m]. By default that"
+            " of --previous, or 1 % of the torque limits.",
         ),
     ] = None
     torque_offset: Annotated[
         str | None,
-        typer.Option(
+        option(
+            group="noise",
             metavar="NUMBERS",
-            help="Standard deviation of constant errors of torques, one or one a joint [N m]; as"
-            " large as --torque-noise if omitted, 0 after --prior or --after and for joints with"
-            " friction of kind offset or asymmetric_dry.",
+            help="Standard deviation of constant torque errors, one number or one per joint [N m]."
+            " By default that of the noise; 0 after --previous and for joints with friction offset"
+            " or asymmetric_dry.",
         ),
     ] = None
     encoder: Annotated[
         str | None,
-        typer.Option(
+        option(
+            group="noise",
             metavar="NUMBERS",
-            help="Step of encoders, one or one a joint [rad]; that of --prior or --after, or 1e-4"
-            " if omitted.",
+            help="Encoder tick, one number or one per joint [rad]. By default that of --previous,"
+            " or 1e-4.",
         ),
     ] = None
-    estimator: Annotated[
-        str,
-        typer.Option(
-            metavar="likelihood|regression", help="The estimator that the recording is for."
-        ),
-    ] = "likelihood"
-    task: Annotated[
-        Path | None,
-        typer.Option(
-            help="Recording of the motion on which torques matter, for criteria overall and"
-            " torque; random motions within the limits if omitted.",
-        ),
-    ] = None
-    start: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NUMBERS",
-            help="Pose to start from, one number a joint [rad or m]; searched for if omitted.",
-        ),
-    ] = None
-    seed: Annotated[
-        int, typer.Option(help="Seed of random motions; the same gives the same motion.")
-    ] = 0
-    starts: Annotated[
-        int, typer.Option(help="How many random motions the search starts from; the best counts.")
-    ] = 3
+
+    def __post_init__(self) -> None:
+        self.stated_noise()
+        self.start_pose()
+        if self.target is not None and not self.target > 0.0:
+            raise UsageError(f"--target: expected more than 0 %, got {self.target:g}")
+        if self.previous is not None and self.recorded:
+            raise UsageError("--previous and --recorded: expected one of them")
+
+    def stated_noise(self) -> dict[str, Any]:
+        """Return noise that the command line states, by the names of `Noise`."""
+        texts = {
+            "torque": ("--torque-noise", self.torque_noise),
+            "offset": ("--torque-offset", self.torque_offset),
+            "resolution": ("--encoder", self.encoder),
+        }
+        given = {
+            name: _numbers(shown, text) for name, (shown, text) in texts.items() if text is not None
+        }
+        return {**given, "estimator": _ESTIMATORS[self.estimator]}
+
+    def start_pose(self) -> np.ndarray | None:
+        """Return the pose that the motion starts from, if it is stated."""
+        return None if not self.start else np.array(_numbers("--start", self.start))
 
 
+_ESTIMATORS = {"maximum-likelihood": "likelihood", "least-squares": "regression"}
+_RATE = 500.0  # of a first recording [Hz]
 # Kinds of friction with a coefficient for a torque that is the same whatever the motion.
 _CONSTANTS = {"offset", "asymmetric_dry"}
 # Before a first recording: noise of torques over their limits, and the step of encoders [rad].
 _TORQUE_NOISE, _ENCODER = 0.01, 1e-4
 
 
-@command
+@command(
+    "excitation",
+    "excite arm.urdf --limits limits.toml --duration 20 -o motion.csv",
+    "excite arm.urdf --previous results -o next.csv",
+)
 def excite_command(
-    context: CommandContext,
+    context: Context,
     robot: RobotArgument,
     options: MotionOptions,
     part: RobotPart,
     drives: Drives,
     lengths: LengthsOption = "auto",
     columns: ColumnsOption = None,
-) -> None:
-    """Design the motion to record next, within all limits, for the least errors."""
-    with progress("reading") as step:
-        _check_options(context, options)
+) -> Output:
+    """Design the motion to record next, within all limits, for the smallest errors."""
+    with context.progress("reading") as step:
+        folder = options.output.parent
+        if not folder.is_dir():
+            raise ValueError(f"{folder}: no such folder")
+        context.check_output(folder, design_files(options.output))
         arm = part.read(robot)
         before = _before(arm, options, columns, lambda: drives.network(arm, lengths), step)
-        names = None if options.wanted is None else names_in(options.wanted)
+        names = None if options.parameters is None else names_in(options.parameters)
         if options.payload is not None:
             before, names = before.carrying(options.payload), names or ["payload"]
         bounds = _bounds(arm, options)
-        asked = "rate" in typed_options(context)
-        rate = options.rate if asked else before.rate(options.rate)
-        noise = _noise(before, bounds, _stated_noise(options) | {"rate": rate})
-        if reached := _reached(before, names, options.reach):
-            return typer.echo(reached)
+        rate = before.rate(_RATE) if options.rate is None else options.rate
+        noise = _noise(before, bounds, options.stated_noise() | {"rate": rate})
+        if reached := _reached(before, names, options.target):
+            return Output(reached)
         task = None if options.task is None else recording_of(options.task, arm, columns)
         design = design_motion(
             before.network,
@@ -227,37 +274,33 @@ def excite_command(
             knowledge=before.knowledge,
             duration=options.duration,
             family=options.family,
-            start=None if not options.start else np.array(_numbers("--start", options.start)),
+            start=options.start_pose(),
             seed=options.seed,
             effort=Effort(options.starts),
             progress=step,
         )
-        paths = save_design(design, options.output, command=command_text(context))
+        paths = save_design(design, options.output, command=context.text())
     lines = [str(design)]
     if before.fit is not None:
         lines += ["", f"{design.family.duration:g} s more are predicted to bring"]
         lines += [f"  {gain}" for gain in design.prediction.gains()]
-    if (reach := options.reach) is not None:
-        seconds = design.seconds_for(reach / 100)
-        lines.append(f"{reach:g} % of all sizes: about {seconds:.3g} s of such motion")
-    typer.echo("\n".join([*lines, "", wrote(paths)]))
+    if (target := options.target) is not None:
+        seconds = design.seconds_for(target / 100)
+        lines.append(f"{target:g} % of all sizes: about {seconds:.3g} s of such motion")
+    data: Callable[[], Any] = lambda: {
+        "criterion": design.criterion,
+        "value": design.value,
+        "relative_errors": design.relative_errors(),
+        "undetermined": design.undetermined,
+        "notes": design.notes,
+    }
+    return Output("\n".join(lines), data, paths)
 
 
 def _bounds(arm: Manipulator, options: MotionOptions) -> Limits:
     stated = options.limits
     bounds = load_limits(stated, arm) if stated else Limits.of(arm, surroundings="usual")
     return bounds if options.floor else bounds.without_floor()
-
-
-def _check_options(context: CommandContext, options: MotionOptions) -> None:
-    choice_of("--family", options.family, FAMILIES)
-    choice_of("--criterion", options.criterion, CRITERIA)
-    if options.starts < 1:
-        raise ValueError(f"--starts is {options.starts}; expected 1 or more")
-    folder = options.output.parent
-    if not folder.is_dir():
-        raise ValueError(f"{folder}: no such folder")
-    check_output(context, folder, design_files(options.output))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -288,16 +331,15 @@ def _before(
     derived: Callable[[], CSLC],
     step: Callable[[str], None],
 ) -> _Before:
-    prior, after = options.prior, options.after
-    if prior is not None and after:
-        raise ValueError("--prior and --after: expected one of them")
-    if prior is not None:
-        report = load_report(prior, arm)
+    if options.previous is not None:
+        report = load_report(options.previous, arm)
         network = report.network
         sampling = None if report.settings is None else report.settings.chosen_on
-    elif after:
+    elif options.recorded:
         network = derived()
-        recordings = recordings_of(after, lambda path: recording_of(path, network.robot, columns))
+        recordings = recordings_of(
+            options.recorded, lambda path: recording_of(path, network.robot, columns)
+        )
         report = identify(network, recordings, possible="never", progress=step)
         sampling = Sampling.of(next(iter(recordings.values())))
     else:
@@ -305,18 +347,6 @@ def _before(
         return _Before(network, Knowledge.of_robot(network))
     knowledge = Knowledge.of_fit(network, report.fit)
     return _Before(network, knowledge, report.fit, report.settings, sampling)
-
-
-def _stated_noise(options: MotionOptions) -> dict[str, Any]:
-    texts = {
-        "torque": ("--torque-noise", options.torque_noise),
-        "offset": ("--torque-offset", options.torque_offset),
-        "resolution": ("--encoder", options.encoder),
-    }
-    given = {
-        name: _numbers(option, text) for name, (option, text) in texts.items() if text is not None
-    }
-    return {**given, "estimator": options.estimator}
 
 
 def _noise(before: _Before, limits: Limits, stated: dict[str, Any]) -> Noise:
@@ -339,22 +369,20 @@ def _noise(before: _Before, limits: Limits, stated: dict[str, Any]) -> Noise:
     return Noise(**(defaults | stated))
 
 
-def _reached(before: _Before, names: list[str] | None, reach: float | None) -> str | None:
+def _reached(before: _Before, names: list[str] | None, target: float | None) -> str | None:
     """Return the message that nothing need be recorded, if so."""
-    if reach is None:
+    if target is None:
         return None
-    if not reach > 0.0:
-        raise ValueError(f"--reach is {reach}; expected more than 0 %")
     indices = wanted_indices(before.network, names)
     size = np.abs(before.knowledge.k[indices])
     relative = 100 * before.knowledge.standard_error[indices] / np.where(size > 0, size, np.inf)
-    if np.all(relative <= reach):
+    if np.all(relative <= target):
         return f"nothing to record: standard errors are {np.max(relative):.3g} % or less already"
     return None
 
 
-def _numbers(option: str, text: str) -> tuple[float, ...]:
+def _numbers(name: str, text: str) -> tuple[float, ...]:
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise ValueError(f"{option}: expected numbers as in 0.1,0.2, got {text!r}") from None
+        raise UsageError(f"{name}: expected numbers as in 0.1,0.2, got {text!r}") from None

@@ -4,56 +4,57 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from ..export import c_code, export_robot, write_c
+from ..export import CCode, c_code, export_robot, write_c
 from ..report import Report, load_report
-from ._common import command, progress
+from ._common import Context, Output, command
 from ._inputs import BUNDLED, RobotArgument, RobotPart, with_notes
+from ._options import argument, option
 
 
-@command
+@command(
+    "export",
+    "export arm.urdf results -o arm_identified.urdf",
+    "export arm.urdf results --c -o arm.c",
+)
 def export_command(
+    context: Context,
     robot: RobotArgument,
     identification: Annotated[
         Path,
-        typer.Argument(
-            metavar="IDENTIFICATION",
-            help="Folder that identify wrote, or the identification.json in it.",
-        ),
+        argument("RESULT", "Folder that identify wrote, or the identification.json in it."),
     ],
     part: RobotPart,
     output: Annotated[
         Path | None,
-        typer.Option(
+        option(
             "-o",
             "--output",
-            help="File to write: the robot's with _identified in its name if omitted, or with"
-            " --c NAME.c and NAME.h.",
+            help="File to write. By default the robot's with _identified in its name, or with --c"
+            " NAME.c and NAME.h.",
         ),
     ] = None,
     c: Annotated[
-        bool, typer.Option("--c", help="Write C code for a controller instead of a robot file.")
+        bool, option(help="Write C code for a controller instead of a robot file.")
     ] = False,
     motors: Annotated[
         bool,
-        typer.Option(
-            help="Keep motor inertias apart from bodies: as motor_inertia in TOML, armature in"
-            " MJCF, in NAME.motors.toml beside a URDF; or put what they do into the bodies."
+        option(
+            help="Absorb motor inertias into the link inertias. By default they stay apart: as"
+            " motor_inertia in TOML, armature in MJCF, in NAME.motors.toml next to a URDF.",
         ),
     ] = True,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Let the output be the robot's own file.")
-    ] = False,
-) -> None:
-    """Write identified coefficients into the robot's own file, or as C code for a controller.
+    overwrite: Annotated[bool, option(help="Let the output be the robot's own file.")] = False,
+) -> Output:
+    """Write identified parameters into the robot's own file, or as C code for a controller.
 
-    Masses, centres of gravity and inertia tensors are the possible ones nearest to the identified
-    coefficients; nothing else in the file changes. It is read again to prove that it predicts the
-    same torques. C code has the identified coefficients as they are, and states of dry friction
-    that yields before it slides, where identify used them.
+    Masses, centres of gravity and inertia tensors are the physically consistent ones nearest to
+    the identified coefficients. Nothing else in the file changes. It is read again to prove that
+    it predicts the same torques.
+
+    C code has the identified coefficients as they are, and the states of pre-sliding friction where
+    identify used them.
     """
-    with progress("reading") as step:
+    with context.progress("reading") as step:
         bundled = files("jaxcslc.manipulator") / "robots" / f"{robot}.toml"
         file = Path(str(bundled)) if robot in BUNDLED else Path(robot)
         path = Path(f"{file.stem}_identified{file.suffix}") if output is None else output
@@ -62,9 +63,13 @@ def export_command(
         saved = load_report(identification, part.read(str(file)))
         if c:
             step("writing C")
-            text = _written_c(saved, output)
+            code, note = _c_code(saved)
+            written = write_c(code, output)
+            counts = ", ".join(f"{name} {count}" for name, count in code.operations.items())
+            text, paths = f"operations: {counts}{note}", written
+            data = {"operations": code.operations}
         else:
-            written = export_robot(
+            exported = export_robot(
                 saved.network,
                 saved.fit,
                 path,
@@ -73,23 +78,20 @@ def export_command(
                 systematic=saved.systematic,
                 progress=step,
             )
-            text = str(written) + _pre_sliding(saved, "is left out: dry friction is a step")
-    typer.echo(with_notes(text, saved.network.robot))
+            text = str(exported) + _pre_sliding(saved, "is omitted: Coulomb friction is a step")
+            data, paths = {"files": [str(path)], "warnings": exported.warnings}, ()
+    return Output(with_notes(text, saved.network.robot), lambda: data, paths)
 
 
-def _written_c(saved: Report, output: Path | None) -> str:
-    """Write C code, and return what is printed of it."""
+def _c_code(saved: Report) -> tuple[CCode, str]:
+    """Return C code, and what is printed about its pre-sliding friction."""
     if (states := saved.pre_sliding) is None:
-        code = c_code(saved.network, saved.fit.k)
-    else:
-        code = c_code(states.network, states.fit.k, presliding_distance=states.presliding_distance)
-    source, header = write_c(code, output)
-    counts = ", ".join(f"{name} {count}" for name, count in code.operations.items())
-    note = _pre_sliding(
+        return c_code(saved.network, saved.fit.k), ""
+    code = c_code(states.network, states.fit.k, presliding_distance=states.presliding_distance)
+    return code, _pre_sliding(
         saved,
         f"has a state, which {code.name}_pre_sliding updates; coefficients are of the fit with it",
     )
-    return f"operations: {counts}\nwrote {source} and {header}{note}"
 
 
 def _pre_sliding(saved: Report, what: str) -> str:

@@ -4,46 +4,38 @@ import contextlib
 import dataclasses
 import functools
 import glob
+import json
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
-
-import typer
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from .._environment import require
 from .._processes import processes_beside
-from ..bodies import Choice, load_prior
-from ..identification import ESTIMATORS, identify
+from ..bodies import load_prior
+from ..identification import identify
 from ..least_squares import fit_fleet_on_cluster, fit_on_cluster
 from ..likelihood import MaximumLikelihood
 from ..manipulator import Manipulator
 from ..network import CSLC
 from ..report import Report, load_report, load_settings, replaced_files
 from ..selection import choose_settings
-from ._common import (
-    CommandContext,
-    check_no_robot_options,
-    check_output,
-    choice_of,
-    command,
-    command_text,
-    names_in,
-    progress,
-    typed_options,
-    wrote,
-)
+from ._common import Context, Output, command, names_in
 from ._inputs import (
     Drives,
     LengthsOption,
     OutputOption,
+    PriorOption,
     RecordingOptions,
     RobotOrSystemArgument,
     RobotPart,
     SettingsOption,
+    TorqueLagOption,
+    TorqueOption,
     is_system,
     recordings_of,
 )
+from ._options import argument, option
 
 
 if TYPE_CHECKING:
@@ -54,131 +46,134 @@ if TYPE_CHECKING:
 class IdentifyOptions:
     """Recordings to fit and to judge on, the estimator, and what is known and asked for."""
 
-    train: Annotated[
-        list[Path],
-        typer.Argument(metavar="TRAIN...", help="Recording to fit, or several of one robot."),
-    ]
+    train: Annotated[list[Path], argument("TRAIN...", "Recording to fit, or several of one robot.")]
     validate: Annotated[
-        Path | None, typer.Option(help="Recording to judge the fit on; it is not fitted.")
+        Path | None,
+        option(help="Recording to judge the fit on; it is not fitted."),
     ] = None
     output: OutputOption = Path("identified")
-    lengths: LengthsOption = "auto"
+    quality: Annotated[
+        Literal["fast", "best"],
+        option(
+            help="fast: least squares. best: also chooses friction per joint, and maximum"
+            " likelihood where it predicts held-out data better.",
+        ),
+    ] = "fast"
     settings: SettingsOption = None
-    estimator: Annotated[
-        str,
-        typer.Option(
-            metavar="|".join(ESTIMATORS),
-            help="Regression on smoothed motion; or positions and coefficients estimated together,"
-            " without a smoothing; or instruments from simulated motion, which say whether"
-            " regression is biased; or the one of the first two that predicts motion that was not"
-            " fitted better.",
-        ),
-    ] = "least-squares"
-    likelihood_every: Annotated[
-        int | None,
-        typer.Option(
-            help="Maximum likelihood: equations of motion over two times so many samples, for arms"
-            " whose transmission vibrates. By the noise of estimated positions if omitted.",
-        ),
-    ] = None
-    measured: Annotated[
-        bool | None,
-        typer.Option(
-            "--measured/--demanded",
-            help="Torques were measured at the samples, or are demands that drives hold to the"
-            " next sample; by default what the file's format says. It counts where the recording"
-            " itself does not show which torque belongs to a sample.",
-            show_default=False,
-        ),
-    ] = None
+    lengths: LengthsOption = "auto"
+    torque: TorqueOption = None
+    torque_lag: TorqueLagOption = None
+    check: Annotated[
+        bool, option(group="recordings", help="Do not check the recordings first.")
+    ] = True
     offsets: Annotated[
         bool,
-        typer.Option(
-            "--offsets", help="Fit a constant torque of each joint in each recording along."
+        option(
+            group="recordings",
+            help="Also fit one torque offset per joint and recording, for sensors that drift.",
         ),
     ] = False
-    torque_lag: Annotated[
-        float | None,
-        typer.Option(
-            help="How much later than positions torques were measured [s]; that of --settings, or"
-            " 0, if omitted.",
+    estimator: Annotated[
+        Literal["least-squares", "maximum-likelihood", "instrumental-variables", "auto"] | None,
+        option(
+            group="estimator",
+            metavar="ESTIMATOR",
+            help="least-squares on smoothed motion; maximum-likelihood, without smoothing;"
+            " instrumental-variables, which test least squares for bias; auto: the one of the"
+            " first two that predicts held-out data better (docs/choose.md). By default that of"
+            " --quality.",
         ),
     ] = None
+    physical: Annotated[
+        Literal["auto", "always", "never"],
+        option(
+            "--physical",
+            "--possible",
+            group="estimator",
+            help="Physically consistent parameters: use them if they predict held-out data better"
+            " (auto), always, or never.",
+        ),
+    ] = "auto"
     loss: Annotated[
-        str | None,
-        typer.Option(
-            metavar="squared|huber|bisquare",
-            help="Loss of the fit; huber and bisquare bound what outliers do to it; that of"
-            " --settings, or squared, if omitted.",
+        Literal["squared", "huber", "bisquare"] | None,
+        option(
+            group="estimator",
+            help="Loss of the fit; huber and bisquare bound the effect of outliers. By default"
+            " that of --settings, or squared.",
         ),
     ] = None
     folds: Annotated[
         int | None,
-        typer.Option(help="Stretches that settings are chosen by; 8, or fewer if it is short."),
-    ] = None
-    check: Annotated[
-        bool, typer.Option(help="Check the recordings first, as jaxcslc check does.")
-    ] = True
-    reidentify: Annotated[
-        str | None,
-        typer.Option(
-            metavar="GROUPS",
-            help="Fit only these coefficients, by group or name as in viscous,dry; all others are"
-            " fixed at those of --previous.",
-        ),
-    ] = None
-    previous: Annotated[
-        Path | None,
-        typer.Option(help="The identification.json of a previous run, for --reidentify."),
-    ] = None
-    systematic: Annotated[
-        bool,
-        typer.Option(help="Widen a robot's intervals by errors of smoothing and of missing terms."),
-    ] = True
-    possible: Annotated[
-        str,
-        typer.Option(
-            metavar="auto|always|never",
-            help="Fit physically possible bodies along, and use their coefficients where they"
-            " predict motion that was left out better than the free fit; or always; or do not.",
-        ),
-    ] = "auto"
-    prior: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="PRIORS.TOML",
-            help="What is known of coefficients and links: fixed, bounded, or with an error"
-            " (docs/uncertainty.md).",
+        option(
+            group="estimator",
+            least=2,
+            help="Parts of the recording for cross-validation. By default 8, or fewer if it is"
+            " short.",
         ),
     ] = None
     memory: Annotated[
         float,
-        typer.Option(
+        option(
+            group="estimator",
             metavar="GB",
-            help="Memory to use, about: in a longer recording, settings are chosen and fits judged"
-            " on a part that is said; coefficients are fitted to all of it.",
+            help="Memory budget. For longer recordings, settings are chosen on a part, which the"
+            " report names.",
         ),
     ] = 2.0
-    horizon: Annotated[
+    ml_spacing: Annotated[
+        int | None,
+        option(
+            "--ml-spacing",
+            "--likelihood-every",
+            group="estimator",
+            least=1,
+            metavar="N",
+            help="Maximum likelihood: each equation of motion spans 2 N samples, for arms with"
+            " elastic joints. By default chosen by the noise of positions.",
+        ),
+    ] = None
+    prior: PriorOption = None
+    reidentify: Annotated[
+        str | None,
+        option(
+            group="knowledge",
+            metavar="GROUPS",
+            help="Fit only these coefficients, by group or name as in viscous,dry. The others are"
+            " those of --previous.",
+        ),
+    ] = None
+    previous: Annotated[
+        Path | None,
+        option(group="knowledge", help="Result of a previous run, for --reidentify."),
+    ] = None
+    systematic: Annotated[
         bool,
-        typer.Option(
+        option(
+            group="output",
+            help="Omit errors of smoothing and of missing terms from the intervals.",
+        ),
+    ] = True
+    simulate: Annotated[
+        bool,
+        option(
+            "--simulate",
             "--horizon",
-            help="Simulate the identified arm open loop from recorded states, beside that of the"
-            " file and one with pre-sliding that was used, and report how far positions are off"
-            " after 0.1 to 5 s.",
+            group="output",
+            help="Also simulate the identified arm, and report the position error after 0.1 to"
+            " 5 s.",
         ),
     ] = False
     dask: Annotated[
         str | None,
-        typer.Option(
+        option(
+            group="cluster",
             metavar="ADDRESS|local",
-            help="Fit many recordings on the workers of a Dask cluster, or of one that is started"
-            " here. Quoted patterns are expanded, as 'logs/*.parquet'.",
+            help="Fit many recordings on a Dask cluster, or on one that is started here. Quoted"
+            " patterns are expanded, as 'logs/*.parquet'.",
         ),
     ] = None
     fleet: Annotated[
-        bool,
-        typer.Option("--fleet", help="With --dask: fit each recording by itself, as of a robot."),
+        bool, option(group="cluster", help="With --dask: treat every file as a different robot.")
     ] = False
 
 
@@ -187,43 +182,56 @@ _PRINTED = 20
 # What `identify` does on a cluster besides fitting is to read, prepare and settings.
 _OF_CLUSTER = {
     *(field.name for kind in (RobotPart, Drives, RecordingOptions) for field in fields(kind)),
-    *("robot", "lengths", "train", "output", "settings", "measured", "dask", "fleet"),
+    *("robot", "lengths", "train", "output", "settings", "torque", "dask", "fleet"),
+    *("json", "quiet"),
 }
 
 
-@command
+@command(
+    "report",
+    "identify arm.urdf log.csv --validate other.csv -o results",
+    "identify arm.urdf log.csv --quality best",
+    "identify arm.urdf morning.csv noon.csv --columns columns.toml --fix gripper",
+)
 def identify_command(
-    context: CommandContext,
+    context: Context,
     robot: RobotOrSystemArgument,
     options: IdentifyOptions,
     part: RobotPart,
     drives: Drives,
     recordings: RecordingOptions,
-) -> None:
-    """Identify a robot's coefficients from recordings of positions and torques.
+) -> Output:
+    """Identify a robot's parameters from recordings of positions and torques.
 
     Or those of another system, from a recording with a column for each of its variables.
     """
-    known = options.estimator == "least-squares"  # the time that it takes
-    with progress("reading", estimated=known) as step, processes_beside():
-        check_output(context, options.output, replaced_files(options.output))
+    if options.quality == "best" and options.previous is None and drives.friction is None:
+        drives = dataclasses.replace(drives, friction="auto")
+    known = _estimator(options) == "least-squares"  # the time that it takes
+    with context.progress("reading", estimated=known) as step, processes_beside():
+        context.check_output(options.output, replaced_files(options.output))
         if options.dask is not None or options.fleet:
             _check_cluster_options(context, robot, options)
             arm = part.read(robot)
             network = drives.network(arm, options.lengths)
-            return typer.echo(_identified_on_cluster(network, options, recordings, step))
+            return _identified_on_cluster(network, options, recordings, step)
         if is_system(robot):
-            check_no_robot_options(context, robot)
+            context.check_no_robot_options(robot)
             report = _identified_system(robot, options, step)
         else:
             report = _identified(context, part.read(robot), options, drives, recordings, step)
         step("writing")
-        paths = report.save(options.output, command=command_text(context))
-    typer.echo(f"{report}\n\n{wrote(paths)}")
+        paths = report.save(options.output, command=context.text())
+    documents = lambda: {"verdict": report.verdict, **report.documents(charts=False)[paths[0].name]}
+    return Output(str(report), documents, paths)
+
+
+def _estimator(options: IdentifyOptions) -> str:
+    return options.estimator or ("auto" if options.quality == "best" else "least-squares")
 
 
 def _identified(
-    context: CommandContext,
+    context: Context,
     arm: Manipulator,
     options: IdentifyOptions,
     drives: Drives,
@@ -233,21 +241,21 @@ def _identified(
     saved = None if options.previous is None else load_report(options.previous, arm)
     if saved is None:
         network = drives.network(arm, options.lengths)
-    elif typed_options(context) & {"lengths", "friction", "coupled"}:
+    elif context.typed & {"lengths", "friction", "coupled"}:
         raise ValueError("--lengths, --friction and --coupled: not with --previous, which has them")
     else:
         network = saved.network
     settings = None if saved is None else saved.settings
     prior = None if options.prior is None else load_prior(options.prior)
-    every = options.likelihood_every
+    every = options.ml_spacing
     stated = {"torque_lag": options.torque_lag, "loss": options.loss}
-    read = functools.partial(recordings.read, robot=network.robot, measured=options.measured)
+    read = functools.partial(recordings.read, robot=network.robot, torque=options.torque)
     return identify(
         network,
         recordings_of(options.train, read),
         None if options.validate is None else read(options.validate),
         settings if options.settings is None else load_settings(options.settings),
-        estimator=choice_of("--estimator", options.estimator, tuple(ESTIMATORS)),
+        estimator=_estimator(options),
         likelihood=None if every is None else MaximumLikelihood(every=every),
         offsets=options.offsets,
         previous=None if saved is None else saved.fit,
@@ -257,21 +265,21 @@ def _identified(
         folds=options.folds,
         checks=options.check,
         systematic=options.systematic,
-        possible=choice_of("--possible", options.possible, get_args(Choice)),
+        possible=options.physical,
         prior=prior,
         memory=options.memory,
-        horizon=options.horizon,
+        horizon=options.simulate,
         progress=step,
     )
 
 
-def _check_cluster_options(context: CommandContext, robot: str, options: IdentifyOptions) -> None:
+def _check_cluster_options(context: Context, robot: str, options: IdentifyOptions) -> None:
     """**Raises** `ValueError` for what there is not on a cluster."""
     if options.dask is None:
         raise ValueError("--fleet: only with --dask")
     if is_system(robot):
         raise ValueError("--dask: expected a robot; other systems are identified in one process")
-    if others := sorted(typed_options(context) - _OF_CLUSTER):
+    if others := sorted(context.typed - _OF_CLUSTER):
         raise ValueError(f"--{others[0].replace('_', '-')}: not with --dask")
 
 
@@ -298,14 +306,14 @@ def _identified_on_cluster(
     options: IdentifyOptions,
     recordings: RecordingOptions,
     step: Callable[[str], None],
-) -> str:
-    """Identify from many recordings on a cluster, write the result, and return what is printed."""
+) -> Output:
+    """Identify from many recordings on a cluster, and write the result."""
     paths: list[Path] = []
     for pattern in map(str, options.train):
         if not (matching := sorted(glob.glob(pattern))):
             raise ValueError(f"{pattern}: no such file; expected recordings")
         paths += map(Path, matching)
-    read = functools.partial(recordings.read, robot=network.robot, measured=options.measured)
+    read = functools.partial(recordings.read, robot=network.robot, torque=options.torque)
     if options.settings is None:
         step("choosing settings on the first recording")
         settings = choose_settings(network, read(paths[0])).settings
@@ -319,13 +327,15 @@ def _identified_on_cluster(
         if options.fleet:
             fit = fit_fleet_on_cluster(network, paths, settings, **arguments)
             file, text = options.output / "fleet.csv", _fleet_text(fit.rows())
+            data: Callable[[], Any] = lambda: {"fits": fit.rows()}
         else:
             fit = fit_on_cluster(network, paths, settings, **arguments)
             file = options.output / "fit.json"
             text = f"{fit}\n\n{settings}\n{len(paths)} recordings"
+            data = lambda: json.loads(file.read_text(encoding="utf-8"))
     options.output.mkdir(parents=True, exist_ok=True)
     fit.save(file)
-    return f"{text}\n\n{wrote([file])}"
+    return Output(text, data, [file])
 
 
 def _fleet_text(rows: list[dict[str, Any]]) -> str:

@@ -4,12 +4,18 @@ import dataclasses
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, cast, get_args
-
-import typer
+from typing import Annotated, Literal
 
 from ..checks import without_outliers
-from ..manipulator import Manipulator, Mimics, RobotError, load_robot, panda, puma560, tx40
+from ..manipulator import (
+    Manipulator,
+    RobotError,
+    check_friction,
+    load_robot,
+    panda,
+    puma560,
+    tx40,
+)
 from ..network import CSLC, derive
 from ..recordings import (
     Recording,
@@ -18,7 +24,8 @@ from ..recordings import (
     restore_clock,
     without_stale_rows,
 )
-from ._common import choice_of, names_in
+from ._common import names_in
+from ._options import UsageError, argument, option, parameters_of
 
 
 BUNDLED = {"puma560": puma560, "panda": panda, "tx40": tx40}
@@ -26,40 +33,75 @@ BUNDLED = {"puma560": puma560, "panda": panda, "tx40": tx40}
 
 RobotArgument = Annotated[
     str,
-    typer.Argument(
-        metavar="ROBOT", help="A robot file (.toml, .urdf, .xml), or puma560, panda or tx40."
-    ),
+    argument("ROBOT", "Robot file (.toml, .urdf, .xml), or puma560, panda or tx40."),
 ]
 RobotOrSystemArgument = Annotated[
     str,
-    typer.Argument(
-        metavar="ROBOT",
-        help="A robot file (.toml, .urdf, .xml), or puma560, panda or tx40; or a file of another"
+    argument(
+        "ROBOT",
+        "Robot file (.toml, .urdf, .xml), or puma560, panda or tx40; or the file of another"
         " system (.toml with [equations], docs/systems.md).",
     ),
 ]
 LengthsOption = Annotated[
     str,
-    typer.Option(
-        metavar="auto|symbolic|numeric|NAMES",
-        help="Keep lengths as symbols, put their values in, or keep some, as in a2,d4; auto:"
-        " symbols up to 6 joints, and values for URDF and MJCF files.",
+    option(
+        group="robot",
+        metavar="auto|symbolic|numeric|LENGTHS",
+        help="Link lengths: symbols, numbers, or symbols for some, as in a2,d4. auto takes symbols"
+        " up to 6 joints, and numbers for URDF and MJCF files.",
     ),
 ]
-OutputOption = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
+OutputOption = Annotated[
+    Path, option("-o", "--output", metavar="FOLDER", help="Folder for the results.")
+]
 SettingsOption = Annotated[
     Path | None,
-    typer.Option(
-        help="Settings from a previous identification.json, or a JSON file written by hand; those"
-        " of --previous if omitted, or else chosen by cross-validation within the recording."
+    option(
+        help="Settings of a previous identification.json, or of a JSON file. By default those of"
+        " --previous, or else chosen by cross-validation within the recording."
     ),
 ]
 ColumnsOption = Annotated[
     Path | None,
-    typer.Option(
-        metavar="MAPPING.TOML",
-        help="Names, units and torque constants of the recordings' columns, where their format"
-        " does not say them (docs/recordings.md).",
+    option(
+        metavar="FILE",
+        help="TOML file with names, units and torque constants of the recordings' columns"
+        " (docs/recordings.md).",
+    ),
+]
+LimitsOption = Annotated[
+    Path | None,
+    option(
+        metavar="FILE",
+        help="TOML file with limits of joints, and surroundings to keep away from. By default the"
+        " limits of the robot file.",
+    ),
+]
+PriorOption = Annotated[
+    Path | None,
+    option(
+        group="knowledge",
+        metavar="FILE",
+        help="TOML file with known parameters of links: fixed, bounded, or with an error"
+        " (docs/uncertainty.md).",
+    ),
+]
+TorqueOption = Annotated[
+    Literal["measured", "commanded"] | None,
+    option(
+        group="recordings",
+        flags=(("--measured", "measured"), ("--demanded", "commanded")),
+        help="Torques were measured at the samples, or are commands that drives hold to the next"
+        " sample. By default what the format says.",
+    ),
+]
+TorqueLagOption = Annotated[
+    float | None,
+    option(
+        group="recordings",
+        metavar="SECONDS",
+        help="Delay of torques after positions. By default that of --settings, or 0.",
     ),
 ]
 
@@ -70,43 +112,41 @@ class RobotPart:
 
     base: Annotated[
         str | None,
-        typer.Option(
-            help="Body of a URDF or MJCF file that the robot stands on; the file's first if"
-            " omitted.",
+        option(
+            metavar="BODY",
+            help="Body of a URDF or MJCF file that the robot stands on. By default the first.",
         ),
     ] = None
     tip: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Body of a URDF or MJCF file that the robot ends with; may be repeated, for"
-            " several arms; everything on --base if omitted.",
+        option(
+            metavar="BODY",
+            help="Body of a URDF or MJCF file that the robot ends with. May be repeated. By"
+            " default everything on --base.",
         ),
     ] = None
     fix: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAMES",
-            help="Joints of a URDF or MJCF file to fix at zero, or bodies, with all joints on them"
-            " and beyond, as in gripper or 'left_*'; may be repeated.",
+        option(
+            metavar="JOINTS",
+            help="Joints of a URDF or MJCF file to fix at zero. A body fixes all joints beyond it,"
+            " as in gripper or 'left_*'. May be repeated.",
         ),
     ] = None
     mimic: Annotated[
-        str | None,
-        typer.Option(
-            metavar="fix|couple",
-            help="Joints of a URDF or MJCF file that mimic others: fixed at zero with what they"
-            " follow, or moved with it; an error if omitted and a file has some (docs/robots.md).",
+        Literal["fix", "couple"] | None,
+        option(
+            group="robot",
+            help="Joints that mimic others: fix them at zero with what they follow, or move them"
+            " with it. Without it they are an error (docs/robots.md).",
         ),
     ] = None
 
     def read(self, name: str) -> Manipulator:
         """Read a bundled robot, or the part of a robot file."""
-        if self.mimic is not None:
-            choice_of("--mimic", self.mimic, get_args(Mimics))
         fixed = [part for names in self.fix or () for part in names_in(names)]
         if name not in BUNDLED:
-            mimic = cast(Any, self.mimic)
-            return load_robot(name, base=self.base, tip=self.tip or (), fix=fixed, mimic=mimic)
+            return load_robot(name, base=self.base, tip=self.tip or (), fix=fixed, mimic=self.mimic)
         if self.base is not None or self.tip or fixed or self.mimic:
             raise RobotError(
                 f"{name}: base, tip, fix and mimic choose a part of a file; {name} is one robot"
@@ -119,34 +159,61 @@ class Drives:
     """Friction and couplings that a robot's file does not say, or says otherwise.
 
     - `friction`: `"auto"` leaves what the file says.
+
+    **Raises** `ValueError`: friction terms that there are not, or a wrong pair of joints.
     """
 
     friction: Annotated[
         str | None,
-        typer.Option(
+        option(
             metavar="TERMS",
-            help="Friction terms of every joint in place of the file's, as in viscous,dry,static"
-            " (docs/friction.md); identify also takes auto, which chooses them joint by joint.",
+            help="Friction terms of every joint, as in viscous,dry,static (docs/friction.md); dry"
+            " is Coulomb friction. identify also takes auto, which chooses them joint by joint. By"
+            " default those of the robot file.",
         ),
     ] = None
     coupled: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
+            group="robot",
             metavar="I,J",
-            help="Two joints that share a motor's inertia and friction, as in 5,6 or 5,6,-1; may"
-            " be repeated.",
+            help="Two joints that share the inertia and friction of a motor, as in 5,6 or 5,6,-1."
+            " May be repeated.",
         ),
     ] = None
 
+    def __post_init__(self) -> None:
+        check_friction(self._terms() or (), "--friction")
+        self._pairs()
+
     def network(self, robot: Manipulator, lengths: str) -> CSLC:
         """Derive the network of a robot; `lengths`: as `LengthsOption` describes them."""
-        if self.friction not in (None, "auto"):
-            robot = robot.with_friction(*names_in(self.friction))
-        pairs = [_pair(text) for text in self.coupled or ()]
-        robot = robot.with_coupling(*pairs) if pairs else robot
+        terms = self._terms()
+        robot = robot if terms is None else robot.with_friction(*terms)
+        robot = robot.with_coupling(*pairs) if (pairs := self._pairs()) else robot
         if lengths == "auto" or lengths == "symbolic" or lengths == "numeric":
             return derive(robot, lengths=lengths)
         return derive(robot, lengths=names_in(lengths))
+
+    def _terms(self) -> list[str] | None:
+        """Return the terms of every joint; None for those of the file."""
+        if self.friction is None or self.friction == "auto":
+            return None
+        # What the field calls dry friction.
+        return ["dry" if name == "coulomb" else name for name in names_in(self.friction)]
+
+    def _pairs(self) -> list[tuple[int | float, ...]]:
+        """Return pairs of joints that share a motor, with their ratio if it is said."""
+        pairs: list[tuple[int | float, ...]] = []
+        for text in self.coupled or ():
+            try:
+                first, second, *ratio = text.split(",")
+                pairs.append((int(first), int(second), *map(float, ratio)))
+            except ValueError:
+                raise UsageError(
+                    f"--coupled: expected two joints, as in 5,6, or 5,6,-1, got {text!r}"
+                ) from None
+        return pairs
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,37 +224,57 @@ class RecordingOptions:
 
     - `columns`: a file with a mapping of its columns.
     - `between`: as text, start and end [s from its start].
-    - `drop_stale`, `every`, `period`, `despike`: as the options of the command say.
+    - `drop_stale`, `decimate`, `period`, `despike`: as the options of the command say.
     """
 
     columns: ColumnsOption = None
     between: Annotated[
         str | None,
-        typer.Option(
-            metavar="START,END", help="Only this stretch of the recordings [s from their start]."
+        option(
+            group="recordings",
+            metavar="START,END",
+            help="Only this part of the recordings [s from their start].",
         ),
     ] = None
-    every: Annotated[
-        int | None, typer.Option(min=1, help="Only every so many rows: those with new positions.")
+    decimate: Annotated[
+        int | None,
+        option(
+            "--decimate",
+            "--every",
+            group="recordings",
+            metavar="NUMBER",
+            least=1,
+            help="Take one row out of so many: those with new positions.",
+        ),
     ] = None
     period: Annotated[
         float | None,
-        typer.Option(help="Restore the times of samples of an even clock of this period [s]."),
+        option(
+            group="recordings",
+            metavar="SECONDS",
+            help="Restore the times of samples, of an even clock of this period.",
+        ),
     ] = None
     drop_stale: Annotated[
-        bool, typer.Option("--drop-stale", help="Leave out rows that repeat the row before.")
+        bool, option(group="recordings", help="Omit rows that repeat the row before.")
     ] = False
     despike: Annotated[
         bool,
-        typer.Option(
-            "--despike", help="Replace single outliers by the median of the seven samples around."
+        option(
+            group="recordings",
+            help="Replace single outliers by the median of the seven samples around them.",
         ),
     ] = False
 
-    def read(self, path: Path, robot: Manipulator, measured: bool | None = None) -> Recording:
+    def __post_init__(self) -> None:
+        self._changes()  # what is wrong with options is said before files are read
+
+    def read(
+        self, path: Path, robot: Manipulator, torque: Literal["measured", "commanded"] | None = None
+    ) -> Recording:
         """Read a recording, its joints in the robot's order.
 
-        - `measured`: whether torques are measurements; None for what the format says.
+        - `torque`: what torques are; None for what the format says.
 
         **Raises**
 
@@ -195,15 +282,15 @@ class RecordingOptions:
           little of it.
         """
         recording = recording_of(path, robot, self.columns)
-        if measured is not None:
-            recording = dataclasses.replace(recording, torque_measured=measured)
-        for option, change in self._changes().items():
+        if torque is not None:
+            recording = dataclasses.replace(recording, torque_measured=torque == "measured")
+        for name, change in self._changes().items():
             try:
                 recording = change(recording)
             except ValueError as error:
                 spent = float(recording.time[-1] - recording.time[0])
                 raise ValueError(
-                    f"{path}, {option} of {recording.samples} samples in {spent:.4g} s: {error}"
+                    f"{path}, {name} of {recording.samples} samples in {spent:.4g} s: {error}"
                 ) from error
         return without_outliers(recording) if self.despike else recording
 
@@ -215,8 +302,8 @@ class RecordingOptions:
             changes[f"--between {self.between}"] = lambda recording: recording.between(start, end)
         if self.drop_stale:
             changes["--drop-stale"] = without_stale_rows
-        if (every := self.every) is not None:
-            changes[f"--every {every}"] = lambda recording: fresh_rows(recording, every)
+        if (every := self.decimate) is not None:
+            changes[f"--decimate {every}"] = lambda recording: fresh_rows(recording, every)
         if (period := self.period) is not None:
             changes[f"--period {period:g}"] = lambda recording: restore_clock(recording, period)
         return changes
@@ -226,19 +313,29 @@ def _two_numbers(text: str) -> tuple[float, float]:
     try:
         start, end = (float(part) for part in text.split(","))
     except ValueError:
-        raise ValueError(f"--between: expected START,END in s, as in 0,8.5, got {text!r}") from None
+        raise UsageError(f"--between: expected START,END in s, as in 0,8.5, got {text!r}") from None
     return start, end
 
 
-def _pair(text: str) -> tuple[int | float, ...]:
-    """Two joints that share a motor's inertia and friction, and their ratio if it is said."""
-    try:
-        first, second, *ratio = text.split(",")
-        return (int(first), int(second), *map(float, ratio))
-    except ValueError:
-        raise RobotError(
-            f"--coupled: expected two joints, as in 5,6, or 5,6,-1, got {text!r}"
-        ) from None
+@dataclasses.dataclass(frozen=True)
+class _ProjectEntries:
+    """Entries of a project file that are not of the dataclasses above."""
+
+    robot: RobotOrSystemArgument
+    lengths: LengthsOption
+    settings: SettingsOption
+    limits: LimitsOption
+    prior: PriorOption
+    torque: TorqueOption
+    torque_lag: TorqueLagOption
+
+
+PROJECT_PARAMETERS = tuple(
+    parameter
+    for record in (_ProjectEntries, RobotPart, Drives, RecordingOptions)
+    for parameter in parameters_of(record)
+)
+"""Parameters that a project file may state."""
 
 
 def is_system(name: str) -> bool:

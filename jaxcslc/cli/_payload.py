@@ -1,14 +1,13 @@
-"""The commands `jaxcslc payload` and `jaxcslc constants`: of arms that carry a payload."""
+"""The commands `jaxcslc payload` and `jaxcslc torque-constants`: of arms that carry a payload."""
 
+import json
 from pathlib import Path
 from typing import Annotated
-
-import typer
 
 from ..identification import identify_torque_constants
 from ..payload import identify_payload
 from ..report import load_report, load_settings
-from ._common import CommandContext, check_output, command, progress, wrote
+from ._common import Context, Output, command
 from ._inputs import (
     ColumnsOption,
     Drives,
@@ -20,34 +19,30 @@ from ._inputs import (
     recordings_of,
     with_notes,
 )
+from ._options import argument, option
 
 
-@command
+@command("payload", "payload arm.urdf loaded.csv --previous results")
 def payload_command(
-    context: CommandContext,
+    context: Context,
     robot: RobotArgument,
-    loaded: Annotated[
-        Path, typer.Argument(metavar="LOADED", help="Recording of the arm carrying the payload.")
-    ],
-    previous: Annotated[
-        Path,
-        typer.Option(help="The identification.json of the arm without payload, from identify."),
-    ],
+    loaded: Annotated[Path, argument("LOADED", "Recording of the arm carrying the payload.")],
+    previous: Annotated[Path, option(help="Result of identify for the arm without the payload.")],
     part: RobotPart,
     unloaded: Annotated[
         Path | None,
-        typer.Option(
-            help="Recording of the arm without it: the arm's coefficients are then fitted to both"
-            " recordings, in place of those of --previous."
+        option(
+            help="Recording of the arm without it. The arm's coefficients are then fitted to both"
+            " recordings, instead of taken from --previous."
         ),
     ] = None,
     output: OutputOption = Path("payload"),
     settings: SettingsOption = None,
     columns: ColumnsOption = None,
-) -> None:
+) -> Output:
     """Identify a payload: its mass, centre of gravity and inertia, in the last link's frame."""
-    with progress("reading") as step:
-        check_output(context, output, [output / "payload.csv", output / "payload.json"])
+    with context.progress("reading") as step:
+        context.check_output(output, [output / "payload.csv", output / "payload.json"])
         saved = load_report(previous, part.read(robot))
         arm = saved.network.robot
         carrying = recording_of(loaded, arm, columns)
@@ -63,29 +58,28 @@ def payload_command(
         step("writing")
         paths = report.save(output)
     text = with_notes(report, arm, loaded=carrying, unloaded=alone)
-    typer.echo(f"{text}\n\n{wrote(paths)}")
+    return Output(text, lambda: json.loads(paths[1].read_text(encoding="utf-8")), paths)
 
 
-@command
-def constants_command(
+@command(
+    "recordings", "torque-constants arm.urdf empty.csv loaded.csv --mass 2 --columns columns.toml"
+)
+def torque_constants_command(
+    context: Context,
     robot: RobotArgument,
-    unloaded: Annotated[
-        Path, typer.Argument(metavar="UNLOADED", help="Recording of the arm without payload.")
-    ],
-    loaded: Annotated[
-        Path, typer.Argument(metavar="LOADED", help="Recording of the arm carrying the payload.")
-    ],
-    mass: Annotated[float, typer.Option(help="Mass of the payload [kg].")],
+    unloaded: Annotated[Path, argument("UNLOADED", "Recording of the arm without payload.")],
+    loaded: Annotated[Path, argument("LOADED", "Recording of the arm carrying the payload.")],
+    mass: Annotated[float, option(metavar="KG", help="Mass of the payload.")],
     part: RobotPart,
     drives: Drives,
     columns: ColumnsOption = None,
     settings: SettingsOption = None,
-) -> None:
+) -> Output:
     """Identify torque constants from motor currents and a payload of known mass.
 
     The recordings hold currents as torques: constant = 1 in [torque] of the file of --columns.
     """
-    with progress("reading") as step:
+    with context.progress("reading") as step:
         manipulator = part.read(robot)
         paths = (unloaded, loaded)
         read = recordings_of(paths, lambda path: recording_of(path, manipulator, columns))
@@ -98,4 +92,5 @@ def constants_command(
             None if settings is None else load_settings(settings),
             progress=step,
         )
-    typer.echo(with_notes(report, manipulator, unloaded=alone, loaded=carrying))
+    text = with_notes(report, manipulator, unloaded=alone, loaded=carrying)
+    return Output(text, lambda: {"torque_constants": report.rows()})

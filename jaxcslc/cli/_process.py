@@ -39,14 +39,13 @@ def collect_garbage() -> None:
     gc.enable()
 
 
-def end_process(end: SystemExit) -> NoReturn:
+def end_process(status: int) -> NoReturn:
     """End the process with a status, when all is done that others have registered for its end.
 
     Modules and arrays are not taken apart one by one, which takes Python 0.13 s.
     """
-    if end.code is None or isinstance(end.code, int):
-        _STATUS.append(end.code or 0)
-    raise end
+    _STATUS.append(status)
+    raise SystemExit(status)
 
 
 def _end() -> None:

@@ -21,6 +21,7 @@ from ._friction import (
     FRICTION_TERMS as FRICTION_TERMS,
     STATIC_SLOPE as STATIC_SLOPE,
     Coupling as Coupling,
+    check_friction as check_friction,
 )
 from ._joint import (
     Joint as Joint,

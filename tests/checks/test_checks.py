@@ -377,7 +377,7 @@ def test_the_command_and_limits_of_a_urdf(tmp_path: Path) -> None:
     assert run("check", robot, log, "--between", "one").exit_code == 2
 
     jc.save_recording(jc.Recording(time, q, torque), log)
-    for option, setting in (("--between", "50,60"), ("--every", "1000"), ("--period", "5")):
+    for option, setting in (("--between", "50,60"), ("--decimate", "1000"), ("--period", "5")):
         left = run("check", robot, log, option, setting)
         assert left.exit_code == 2
         assert f"{log}, {option} {setting} of 2000 samples in 7.996 s: " in left.stderr

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
 
 import jaxcslc as jc
+from scripts.tools.invoke import Result, invoke
 
 
 ARM = """gravity = [0, -9.81, 0]
@@ -33,9 +33,7 @@ URDF = """<robot name="arm">
 
 
 def run(*arguments: str | Path) -> Result:
-    from jaxcslc.cli._app import app
-
-    return CliRunner().invoke(app, ["export", *(str(argument) for argument in arguments)])
+    return invoke("export", *arguments)
 
 
 def identification(network: jc.CSLC, path: Path, **changes: Any) -> Path:

@@ -4,12 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import jaxcslc as jc
-from jaxcslc.cli._app import app
 from jaxcslc.selection import FrictionChoice, choose_friction
 from tests import arms
+from tests.conftest import run
 
 
 TRUE = (("viscous", "dry", "offset"), ("viscous", "dry", "static"))
@@ -155,7 +154,7 @@ def test_the_command(tmp_path: Path) -> None:
     names = (str(tmp_path / name) for name in ("pendulum.toml", "train.csv", "settings.json", "o"))
     robot_file, train, settings, output = names
     options = ["--friction", "auto", "--settings", settings, "-o", output]
-    result = CliRunner().invoke(app, ["identify", robot_file, train, *options])
+    result = run("identify", robot_file, train, *options)
     assert result.exit_code == 0, result.output
     assert "note: friction of joint 1, held-out error with a term over" in result.output
     assert "; pre-sliding " in result.output

@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from typer.testing import CliRunner
 
 import jaxcslc as jc
-from jaxcslc.cli._app import app
+from tests.conftest import run
 
 
 LENGTH = 0.04
@@ -172,12 +171,12 @@ def test_exported_code_has_the_state_and_robot_files_do_not(
     robot = tmp_path / "arm.toml"
     robot.write_text("gravity = [0, -9.81, 0]\n[[joint]]\n[[joint]]\na = 0.5\n", "utf-8")
     arguments = ["export", str(robot), str(tmp_path)]
-    result = CliRunner().invoke(app, [*arguments, "--c", "-o", str(tmp_path / "arm.c")])
+    result = run(*arguments, "--c", "-o", tmp_path / "arm.c")
     assert result.exit_code == 0, result.output
     assert "note: pre-sliding of joint 1 has a state, which arm_pre_sliding" in result.output
     source = (tmp_path / "arm.c").read_text("ascii")
     k = dict(zip(report.network.names, report.pre_sliding.fit.k.tolist(), strict=True))
     assert f"kd1 = {k['kd1']:.17g} N m" in source and "w[0]" in source
-    result = CliRunner().invoke(app, [*arguments, "-o", str(tmp_path / "new.toml")])
+    result = run(*arguments, "-o", tmp_path / "new.toml")
     assert result.exit_code == 0, result.output
-    assert "note: pre-sliding of joint 1 is left out: dry friction is a step" in result.output
+    assert "note: pre-sliding of joint 1 is omitted: Coulomb friction is a step" in result.output

@@ -326,13 +326,11 @@ def test_elements_know_where_they_stand() -> None:
 def test_the_command_ends_with_code_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
-    from jaxcslc.cli._app import app
+    from jaxcslc.cli._app import run
 
     path = tmp_path / "arm.urdf"
     path.write_text(REFUSED["cycle"][0])
     arguments = [command, str(path)] + (["train.csv"] if command == "identify" else [])
-    with pytest.raises(SystemExit) as caught:
-        app(arguments)
-    assert caught.value.code == 2
+    assert run(arguments, configure=False) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert line.startswith(f"jaxcslc: {path}")

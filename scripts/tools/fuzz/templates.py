@@ -9,10 +9,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_typestore
-from typer.testing import CliRunner
 
 import jaxcslc as jc
-from jaxcslc.cli._app import app
+from scripts.tools.invoke import invoke
 
 
 TOML = """name = "arm"
@@ -181,7 +180,7 @@ def write_templates(folder: Path) -> None:
     _write_bags(folder, recording)
     names = ("identify", folder / "arm.toml", folder / "log.csv", "-o", folder / "result")
     settings = ("--settings", folder / "settings.json", "--no-check", "--no-systematic")
-    done = CliRunner().invoke(app, list(map(str, (*names, *settings))))
+    done = invoke(*names, *settings)
     if done.exit_code:
         raise RuntimeError(f"the templates' identification failed: {done.output}")
 

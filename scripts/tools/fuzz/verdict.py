@@ -12,10 +12,8 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
-from typer.testing import CliRunner, Result
-
-from jaxcslc.cli._app import app
 from scripts.tools.fuzz.cases import Case, case
+from scripts.tools.invoke import Result, invoke
 
 
 MOST_SECONDS = 10.0
@@ -36,7 +34,7 @@ def run_case(number: int, templates: Path, folder: Path) -> Row:
     start, worked = time.monotonic(), time.process_time()
     with _in(folder), warnings.catch_warnings(), _library_output() as printed:
         warnings.filterwarnings("ignore", category=RuntimeWarning)  # as the command itself does
-        result = CliRunner().invoke(app, example.arguments)
+        result = invoke(*example.arguments)
     # The lesser: threads work side by side, and others may keep the machine busy.
     seconds = min(time.monotonic() - start, time.process_time() - worked)
     fault = _fault(example, result, folder, before, seconds)
@@ -56,7 +54,7 @@ def _fault(
 ) -> str | None:
     """What is wrong with how a command ended; None if nothing is."""
     error = result.exception
-    if error is not None and not isinstance(error, SystemExit):
+    if error is not None:
         last = traceback.extract_tb(error.__traceback__)[-1]
         at = f"{Path(last.filename).name}, line {last.lineno}"
         return f"traceback: {type(error).__name__}: {' '.join(str(error).split())[:300]} ({at})"
@@ -66,8 +64,7 @@ def _fault(
     if seconds > MOST_SECONDS:
         return f"took {seconds:.1f} s: {' '.join(example.arguments)}"
     lines = [line for line in result.stderr.splitlines() if line.strip()]
-    usage = any(line.startswith(("Usage: ", "Error: ")) for line in lines)
-    if result.exit_code == 2 and not usage:
+    if result.exit_code == 2:
         if len(lines) != 1 or not lines[0].startswith("jaxcslc: "):
             return f"expected one line, got {result.stderr[-500:]!r}"
         if result.stdout.strip():

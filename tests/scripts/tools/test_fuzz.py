@@ -2,9 +2,11 @@
 
 import random
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from scripts.tools import invoke
 from scripts.tools.fuzz import cases, verdict
 from scripts.tools.fuzz.mutations import mutated_bytes, mutated_document, mutated_text
 from scripts.tools.fuzz.templates import ROBOTS, write_inputs
@@ -72,14 +74,11 @@ FAULTS = {
 def test_what_is_wrong_is_seen(
     program: str, templates: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import typer
-
-    def command() -> None:
+    def command(*_: Any, **__: Any) -> int:
         exec(program, {"sys": __import__("sys"), "os": __import__("os")})
+        return 0
 
-    app = typer.Typer()
-    app.command()(command)
-    monkeypatch.setattr(verdict, "app", app)
+    monkeypatch.setattr(invoke, "run", command)
     monkeypatch.setattr(verdict, "case", lambda number, *_: cases.Case(number, "robot", []))
     fault = verdict.run_case(0, templates, tmp_path / "case")["fault"]
     expected = FAULTS[program]

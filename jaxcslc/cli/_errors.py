@@ -1,0 +1,69 @@
+"""Errors that a user can correct: one line each, with the page that explains it."""
+
+import contextlib
+import sys
+from collections.abc import Generator, Mapping
+from types import TracebackType
+
+from ._help import page_address
+from ._options import UsageError
+
+
+# The page that explains errors of a package, and what its functions are asked for.
+PAGES: Mapping[str, str] = {
+    "bodies": "uncertainty",
+    "checks": "checks",
+    "derivation": "robots",
+    "excitation": "excitation",
+    "export": "export",
+    "friction": "friction",
+    "identification": "choose",
+    "least_squares": "settings",
+    "likelihood": "likelihood",
+    "manipulator": "robots",
+    "network": "robots",
+    "payload": "payload",
+    "recordings": "recordings",
+    "report": "report",
+    "selection": "settings",
+    "systems": "systems",
+    "uncertainty": "uncertainty",
+}
+
+
+@contextlib.contextmanager
+def one_line_errors(name: str = "", page: str = "command") -> Generator[list[int]]:
+    """Print errors that a user can correct as one line on standard error, for exit code 2.
+
+    The line ends with the page that explains it: of the package that found the error, or `page`.
+
+    **Returns** a list that holds the exit code of such an error.
+    """
+    status: list[int] = []
+    try:
+        yield status
+    except BrokenPipeError:  # `head` closes the pipe early
+        raise
+    except (ImportError, ValueError, RuntimeError, OSError) as error:
+        # By its name: to import the class would import JAX, which `jaxcslc --help` does without.
+        if isinstance(error, ImportError) and type(error).__name__ != "MissingExtraError":
+            raise
+        message = " ".join(str(error).split()) or type(error).__name__
+        if isinstance(error, UsageError):
+            where = " ".join(["jaxcslc", *([name] if name else []), "--help"])
+        else:
+            where = page_address(_page_of(error.__traceback__) or page)
+        print(f"jaxcslc: {message} ({where})", file=sys.stderr)
+        status.append(2)
+
+
+def _page_of(trace: TracebackType | None) -> str | None:
+    """Return the page of the package that raised an error; None of errors of a command itself."""
+    package = ""
+    while trace is not None:
+        top, _, below = trace.tb_frame.f_globals.get("__name__", "").partition(".")
+        folder, _, module = below.partition(".")
+        if top == "jaxcslc" and module:  # not of a helper of all packages
+            package = folder
+        trace = trace.tb_next
+    return PAGES.get(package)

@@ -1,0 +1,147 @@
+"""Help of the command: groups of options, old names, defaults, errors of usage, completion."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from jaxcslc.cli._app import COMMANDS, SUMMARIES, command_named
+from jaxcslc.cli._help import grouped, option_text
+from tests.conftest import run
+
+
+ROOT = Path(__file__).parents[1]
+MOST_FOR_EVERYONE = 9
+
+
+def usage_error(*words: str) -> str:
+    """The one line that a wrong command line ends in, without the hint at its end."""
+    result = run(*words)
+    assert result.exit_code == 2 and result.stdout == ""
+    (line,) = result.stderr.strip().splitlines()
+    text, _, hint = line.partition(" (")
+    assert hint.startswith("jaxcslc") and hint.endswith("--help)")
+    return text.removeprefix("jaxcslc: ")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_shows_few_options_and_names_the_others(name: str) -> None:
+    command = command_named(name)
+    groups = grouped(command.parameters)
+    everyone = groups.get("", [])
+    assert len(everyone) <= MOST_FOR_EVERYONE
+    text = run(name, "--help").output
+    assert text.startswith(f"usage: jaxcslc {name}")
+    shown = [line for line in text.splitlines() if line.startswith(("  -", "  --"))]
+    assert len(shown) == len(everyone)
+    words = text.replace(",", " ").split()
+    for group, options in groups.items():
+        assert not group or {group, *(some.typed[2:] for some in options)} <= set(words)
+    for line in command.examples:
+        assert f"  jaxcslc {line}" in text
+    assert text.endswith(f"documentation: docs/{command.page}.md\n")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_each_group_can_be_shown_and_all_together(name: str) -> None:
+    groups = grouped(command_named(name).parameters)
+    everything = run(name, "--help-all").output
+    for group, options in groups.items():
+        part = run(name, "--help", group).output if group else run(name, "--help").output
+        for some in options:
+            assert option_text(some) in part and option_text(some) in everything
+            assert some.option.help.endswith(".")
+
+
+def test_help_of_the_program_fits_its_summaries() -> None:
+    text = run("--help").output
+    for summaries in SUMMARIES.values():
+        for name, summary in summaries.items():
+            assert any(
+                line.split()[:1] == [name] and line.endswith(summary) for line in text.splitlines()
+            )
+    assert run().output == text
+
+
+def test_pages_and_examples_of_help_exist() -> None:
+    for name in COMMANDS:
+        command = command_named(name)
+        assert (ROOT / "docs" / f"{command.page}.md").exists()
+        known = {text for some in command.parameters for text in some.names}
+        for line in command.examples:
+            assert line.split()[0] == name
+            assert {word for word in line.split() if word.startswith("-")} <= known
+
+
+def test_units_and_tables_in_brackets_are_kept() -> None:
+    text = " ".join(run("identify", "--help-all").output.split())
+    assert "[s from their start]" in text and "with [equations]" in text
+    assert "[fast]" in text  # a default
+
+
+def test_wrong_usage_is_one_line() -> None:
+    assert usage_error("identfy") == "no command 'identfy'; did you mean identify?"
+    assert usage_error("check", "--help", "robots").endswith("got 'robots'; did you mean robot?")
+    wrong = {
+        ("--physicl", "auto"): "no such option: --physicl; did you mean --physical?",
+        ("--loss", "cubic"): "--loss: expected squared, huber, bisquare, got 'cubic'",
+        ("--decimate", "0"): "--decimate: expected a whole number from 1 on, got '0'",
+        ("--memory", "much"): "--memory: expected a number, got 'much'",
+        ("--settings",): "--settings: expected one argument",
+        ("--between", "1"): "--between: expected START,END in s, as in 0,8.5, got '1'",
+        ("--coupled", "1"): "--coupled: expected two joints, as in 5,6, or 5,6,-1, got '1'",
+    }
+    for words, text in wrong.items():
+        assert usage_error("identify", "puma560", "log.csv", *words) == text
+    assert usage_error("compare", "a") == "missing B; expected A B"
+    assert usage_error("compare", "a", "b", "c") == "unexpected 'c'; expected A B"
+    assert usage_error("payload", "panda", "log.csv") == "missing --previous FILE"
+    assert usage_error("example", "kuka") == "ARM: expected panda, puma560, ur5, got 'kuka'"
+
+
+def test_options_are_checked_before_files_are_read() -> None:
+    """The recording is missing, and the robot: what is wrong with the options is said."""
+    for robot in ("puma560", "none.urdf"):
+        line = run("identify", robot, "none.csv", "--friction", "sticky").stderr
+        assert line.startswith("jaxcslc: --friction: unknown friction term 'sticky'")
+        assert line.endswith("(docs/robots.md)\n")
+    line = run("identify", "none.urdf", "none.csv", "--friction", "coulomb").stderr
+    assert line.startswith("jaxcslc: none.urdf: no such")  # Coulomb friction is `dry`
+
+
+def test_options_of_before_are_understood() -> None:
+    context = command_named("identify").context(
+        ["puma560", "a.csv", "--every", "3", "--possible=never", "--horizon", "--demanded", "b.csv"]
+    )
+    assert context.values["decimate"] == 3 and context.values["physical"] == "never"
+    assert context.values["simulate"] is True and context.values["torque"] == "commanded"
+    assert context.values["train"] == [Path("a.csv"), Path("b.csv")]
+    assert context.text() == (
+        "jaxcslc identify puma560 a.csv b.csv --torque commanded --physical never --simulate"
+        " --decimate 3"
+    )
+    excite = command_named("excite").context(
+        ["panda", "--prior", "results", "--for", "kd5", "--reach", "5", "--estimator", "regression"]
+    )
+    assert excite.values["previous"] == Path("results") and excite.values["target"] == 5.0
+    assert excite.values["estimator"] == "least-squares"
+    assert command_named("constants").name == "torque-constants"
+
+
+def test_negative_numbers_are_values() -> None:
+    context = command_named("excite").context(["panda", "--start", "-0.5,1", "--seed", "-3"])
+    assert (context.values["start"], context.values["seed"]) == ("-0.5,1", -3)
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish", "tcsh"])
+def test_completion_names_commands_and_options(shell: str, tmp_path: Path) -> None:
+    pytest.importorskip("shtab")
+    result = run("completion", shell)
+    assert result.exit_code == 0, result.output
+    for word in (*COMMANDS, "quality", "decimate", "torque-lag", "maximum-likelihood"):
+        assert word in result.stdout
+    if program := shutil.which(shell):
+        script = tmp_path / "script"
+        script.write_text(result.stdout, "utf-8")
+        subprocess.run([program, "-n", str(script)], check=True)
