@@ -1,21 +1,20 @@
 """Forked processes that compute next to this one, where a program allows them.
 
 `processes_beside` allows them within a `with`, and `can_fork` says whether forking is possible.
-`ForkedFunction` is the mechanism. `function_beside`, `prepared_beside` and `computed_beside` run
-one computation, at once in this process where forking is not possible. `SharedMap` divides many
-arguments among processes. For work that releases the interpreter's lock, see `_chunks`.
+A process serves one computation: `computed_beside` starts it at once, `function_beside` before its
+argument is known. Where forking is not possible, they compute in this process. For work that
+releases the interpreter's lock, see `_chunks`.
 """
 
 import contextlib
 import os
 import pickle
-import select
-from collections import deque
-from collections.abc import Callable, Generator, Iterable, Sequence
+import signal
+from collections.abc import Callable, Generator
 from contextvars import ContextVar
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Generic, NoReturn, TypeVar
 
 from ._environment import core_count
 
@@ -23,15 +22,12 @@ from ._environment import core_count
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 
-_MOST_PROCESSES = 3  # beside this one; each holds what it computes with
-# Ends of pipes to processes that have not been closed.
-_DESCRIPTORS: set[int] = set()
-_ALLOWED: ContextVar[bool] = ContextVar("processes beside this one", default=False)
+_ALLOWED: ContextVar[bool] = ContextVar("processes next to this one", default=False)
 
 
 @contextlib.contextmanager
 def processes_beside() -> Generator[None]:
-    """Allow processes beside this one, forked from it, inside of the `with`.
+    """Allow processes next to this one, forked from it, inside of the `with`.
 
     What takes less than some 50 ms at a time gains nothing by threads, which wait for the
     interpreter. A program allows it that knows what else goes on in its process: a library does
@@ -64,45 +60,30 @@ def can_fork() -> bool:
     return bool(names) and not any("XLA" in name for name in names)  # none: not Linux
 
 
-class ForkedFunction(Generic[Argument, Result]):
-    """A function in a process of its own, which has what this one had when it was made.
+class Forked(Generic[Result]):
+    """A computation in a process of its own, which has what this one had when it was made.
 
-    Arguments and results are pickled; of what the function changes, nothing comes back. The
-    process ends with this one at the latest.
+    The result is pickled; of what the computation changes, nothing comes back.
 
-    - `prepare`: makes the function, of one argument; called in the process before there is one.
-
-    To be made only where `can_fork` says so, as `function_beside` does. Not of `multiprocessing`:
-    processes that it forks outlive one that is killed, whose end of a pipe they hold open.
+    To be made only where `can_fork` says so. `multiprocessing` would not do: its processes outlive
+    one that is killed, and need what they compute pickled.
     """
 
-    def __init__(self, prepare: Callable[[], Callable[[Argument], Result]]) -> None:
-        from_parent, to_child = os.pipe()
-        from_child, to_parent = os.pipe()
+    def __init__(self, compute: Callable[[], Result]) -> None:
+        results, written = os.pipe()
         self._process = os.fork()
         if not self._process:
-            # What others hold open, their processes do not see the end of.
-            for descriptor in (to_child, from_child, *_DESCRIPTORS):
-                os.close(descriptor)
-            _serve(prepare, from_parent, to_parent)
-        os.close(from_parent)
-        os.close(to_parent)
-        self._arguments, self._results = open(to_child, "wb"), open(from_child, "rb")  # noqa: SIM115
-        _DESCRIPTORS.update((to_child, from_child))
+            _answer(compute, written)
+        os.close(written)
+        self._results = open(results, "rb")  # noqa: SIM115
 
-    def send(self, argument: Argument) -> None:
-        """Compute for an argument; only after the result for the one before was received."""
-        with contextlib.suppress(BrokenPipeError):  # receiving says so
-            pickle.dump(argument, self._arguments, pickle.HIGHEST_PROTOCOL)
-            self._arguments.flush()
-
-    def receive(self) -> Result:
-        """The result for the argument that was sent last.
+    def result(self) -> Result:
+        """Wait for the result; once only.
 
         **Raises**
 
-        - what the function raised, or what makes it.
-        - `ChildProcessError`: the process has ended.
+        - what the computation raised.
+        - `ChildProcessError`: the process has ended without a result.
         """
         try:
             result, error = pickle.load(self._results)
@@ -112,180 +93,87 @@ class ForkedFunction(Generic[Argument, Result]):
             raise error
         return result
 
-    def fileno(self) -> int:
-        """Return the file descriptor that becomes readable when there is a result."""
-        return self._results.fileno()
-
     def close(self) -> None:
-        """End the process."""
-        if not self._process:
-            return
-        _DESCRIPTORS.difference_update((self._arguments.fileno(), self._results.fileno()))
-        with contextlib.suppress(BrokenPipeError):
-            self._arguments.close()
-        self._results.close()
-        os.waitpid(self._process, 0)
-        self._process = 0
-
-    def __enter__(self) -> "ForkedFunction[Argument, Result]":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
+        """End the process, whether it has a result or not."""
+        if self._process:
+            self._results.close()
+            os.kill(self._process, signal.SIGKILL)
+            os.waitpid(self._process, 0)
+            self._process = 0
 
 
-def _serve(prepare: Callable[[], Callable[[Any], Any]], arguments: int, results: int) -> None:
-    """Run the loop of a forked process until nobody sends arguments. It does not return."""
+def _answer(compute: Callable[[], object], written: int) -> NoReturn:
+    """Write the result, or the error, of a computation, and end the process."""
     _ALLOWED.set(False)
     try:
-        function = _prepared(prepare)
-        with open(arguments, "rb") as reader, open(results, "wb") as writer:
-            while True:
-                argument = pickle.load(reader)
-                try:
-                    result = pickle.dumps((function(argument), None), pickle.HIGHEST_PROTOCOL)
-                except Exception as error:
-                    result = pickle.dumps((None, error), pickle.HIGHEST_PROTOCOL)
-                writer.write(result)
-                writer.flush()
-    except BaseException:  # the end of the arguments, an interruption, or a result nobody reads
+        try:
+            result = pickle.dumps((compute(), None), pickle.HIGHEST_PROTOCOL)
+        except Exception as error:
+            result = pickle.dumps((None, error), pickle.HIGHEST_PROTOCOL)
+        with open(written, "wb") as file:
+            file.write(result)
+    except BaseException:  # an interruption, or a result that nobody reads
         pass
     finally:
         # Without what the parent does at its end, such as writing what it has buffered.
         os._exit(0)
 
 
-def _prepared(prepare: Callable[[], Callable[[Any], Any]]) -> Callable[[Any], Any]:
-    """The function, or one that raises what making it did."""
-    try:
-        return prepare()
-    except Exception as error:
-        reason = error
-
-    def fail(_: object) -> Any:
-        raise reason
-
-    return fail
-
-
 @contextlib.contextmanager
-def function_beside(
-    function: Callable[[Argument], Result], *, allowed: bool = True
-) -> Generator[Callable[[Argument], Callable[[], Result]]]:
-    """A function that begins to compute for its argument, in a process beside this one, and returns
-    another one that waits for the result.
+def computed_beside(compute: Callable[[], Result]) -> Generator[Callable[[], Result]]:
+    """Begin to compute in a process next to this one. Give a function that waits for the result.
 
     Computed at once where `can_fork` says no. The process has what this one has now.
-
-    - `function`: of one argument; called once at most.
-    - `allowed`: False computes at once.
-
-    >>> with function_beside(lambda x: 2 * x) as begin:
-    ...     result = begin(21)
-    ...     result()
-    42
-    """
-    with prepared_beside(lambda: function, allowed=allowed) as begin:
-        yield begin
-
-
-@contextlib.contextmanager
-def prepared_beside(
-    prepare: Callable[[], Callable[[Argument], Result]], *, allowed: bool = True
-) -> Generator[Callable[[Argument], Callable[[], Result]]]:
-    """`function_beside` for a function that is made first: in the process, before its argument is
-    known.
-
-    - `prepare`: makes the function, of one argument.
-
-    >>> with prepared_beside(lambda: (3).__mul__) as begin:
-    ...     begin(14)()
-    42
-    """
-    if not (allowed and can_fork()):
-
-        def computed(argument: Argument) -> Callable[[], Result]:
-            result = prepare()(argument)
-            return lambda: result
-
-        yield computed
-        return
-    with ForkedFunction(prepare) as forked:
-
-        def begun(argument: Argument) -> Callable[[], Result]:
-            forked.send(argument)
-            return lru_cache(maxsize=1)(forked.receive)
-
-        yield begun
-
-
-@contextlib.contextmanager
-def computed_beside(
-    compute: Callable[[], Result], *, allowed: bool = True
-) -> Generator[Callable[[], Result]]:
-    """`function_beside` for a function of no argument, which begins now.
 
     >>> with computed_beside(lambda: 42) as answer:
     ...     answer()
     42
     """
+    if not can_fork():
+        result = compute()
+        yield lambda: result
+        return
+    with contextlib.closing(Forked(compute)) as forked:
+        yield lru_cache(maxsize=1)(forked.result)
 
-    def without_argument(_: None) -> Result:
-        return compute()
 
-    with function_beside(without_argument, allowed=allowed) as begin:
-        yield begin(None)
+@contextlib.contextmanager
+def function_beside(
+    function: Callable[[Argument], Result],
+) -> Generator[Callable[[Argument], Callable[[], Result]]]:
+    """Give a function that begins to compute for its argument in a process next to this one.
 
+    It gives another function, which waits for the result. Computed at once where `can_fork` says
+    no. The process has what this one has now, not when its argument is known.
 
-class SharedMap(Generic[Argument, Result]):
-    """A map whose arguments this process and those beside it share.
+    - `function`: of one argument; called once at most.
 
-    - `function`: of one argument.
-    - `processes`: beside this one; by default one for each further core.
+    >>> with function_beside(lambda x: 2 * x) as begin:
+    ...     begin(21)()
+    42
     """
+    if not can_fork():
 
-    def __init__(
-        self, function: Callable[[Argument], Result], processes: int | None = None
-    ) -> None:
-        if processes is None:
-            processes = min(core_count() - 1, _MOST_PROCESSES)
-        self._function = function
-        self._forked = [ForkedFunction(lambda: function) for _ in range(processes)]
+        def computed(argument: Argument) -> Callable[[], Result]:
+            result = function(argument)
+            return lambda: result
 
-    def __call__(self, arguments: Iterable[Argument]) -> list[Result]:
-        """The results, in the order of the arguments."""
-        listed = list(arguments)
-        todo, results = deque(range(len(listed))), dict[int, Result]()
-        idle, busy = deque(self._forked), dict[ForkedFunction[Argument, Result], int]()
-        while todo or busy:
-            while idle and len(todo) > 1:
-                index, forked = todo.pop(), idle.popleft()
-                busy[forked] = index
-                forked.send(listed[index])
-            if todo:
-                index = todo.popleft()
-                results[index] = self._function(listed[index])
-            for forked in _ready(list(busy), wait=not todo):
-                results[busy.pop(forked)] = forked.receive()
-                idle.append(forked)
-        return [results[index] for index in range(len(listed))]
+        yield computed
+        return
+    read, written = os.pipe()
 
-    def close(self) -> None:
-        """End the processes."""
-        for forked in self._forked:
-            forked.close()
+    def compute() -> Result:
+        os.close(written)
+        with open(read, "rb") as arguments:
+            return function(pickle.load(arguments))
 
-    def __enter__(self) -> "SharedMap[Argument, Result]":
-        return self
+    with open(written, "wb") as arguments, computed_beside(compute) as result:
+        os.close(read)
 
-    def __exit__(self, *error: object) -> None:
-        self.close()
+        def begun(argument: Argument) -> Callable[[], Result]:
+            with contextlib.suppress(BrokenPipeError):  # the result says so
+                pickle.dump(argument, arguments, pickle.HIGHEST_PROTOCOL)
+                arguments.flush()
+            return result
 
-
-def _ready(
-    forked: Sequence[ForkedFunction[Any, Any]], *, wait: bool
-) -> list[ForkedFunction[Any, Any]]:
-    """Return the processes that have a result. Wait for one if there is nothing else to do."""
-    if not forked:
-        return []
-    return select.select(forked, [], [], None if wait else 0.0)[0]
+        yield begun

@@ -1,20 +1,18 @@
 """Processes beside this one."""
 
+import contextlib
 import os
 import signal
 import threading
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from jaxcslc._processes import (
-    ForkedFunction,
-    SharedMap,
+    Forked,
     can_fork,
     computed_beside,
     function_beside,
-    prepared_beside,
     processes_beside,
 )
 
@@ -27,51 +25,35 @@ pytestmark = [
 ]
 
 
-def _ended(_: None) -> None:
+def _end() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-@pytest.mark.parametrize("processes", [0, 1, 3])
-def test_a_shared_map_is_a_map(processes: int) -> None:
-    with SharedMap[int, tuple[int, int]](lambda x: (x, x * x), processes) as run:
-        assert run(range(20)) == [(x, x * x) for x in range(20)]
-        assert run([]) == []
-        assert run([7]) == [(7, 49)]
-
-
-def test_a_shared_map_computes_in_other_processes() -> None:
-    with SharedMap(lambda _: os.getpid(), 2) as run:
-        assert {os.getpid()} < set(run(range(50)))
-
-
-def test_long_arguments_and_results_pass() -> None:
-    with ForkedFunction[bytes, bytes](lambda: lambda x: x + x) as forked:
-        for length in (1, 3_000_000):
-            forked.send(bytes(length))
-            assert forked.receive() == bytes(2 * length)
+def test_long_results_pass() -> None:
+    with contextlib.closing(Forked(lambda: bytes(6_000_000))) as forked:
+        assert forked.result() == bytes(6_000_000)
 
 
 def test_errors_are_raised_here() -> None:
-    with ForkedFunction[str, int](lambda: lambda text: int(text)) as forked:
-        forked.send("no number")
-        with pytest.raises(ValueError, match="invalid literal"):
-            forked.receive()
-        forked.send("3")
-        assert forked.receive() == 3
+    with (
+        contextlib.closing(Forked(lambda: int("three"))) as forked,
+        pytest.raises(ValueError, match="invalid literal"),
+    ):
+        forked.result()
 
 
 def test_an_ended_process_is_reported() -> None:
-    with ForkedFunction[None, None](lambda: _ended) as forked:
-        forked.send(None)
-        with pytest.raises(ChildProcessError, match="has ended"):
-            forked.receive()
+    with (
+        contextlib.closing(Forked(_end)) as forked,
+        pytest.raises(ChildProcessError, match="has ended"),
+    ):
+        forked.result()
 
 
-def test_processes_end_in_any_order() -> None:
-    first, second = (ForkedFunction[int, int](lambda: lambda x: -x) for _ in range(2))
+def test_processes_end_in_any_order_and_unfinished() -> None:
+    first, second = Forked(threading.Event().wait), Forked(lambda: -1)
     first.close()
-    second.send(1)
-    assert second.receive() == -1
+    assert second.result() == -1
     second.close()
     second.close()
 
@@ -89,44 +71,29 @@ def test_beside_is_another_process_where_it_is_allowed(monkeypatch: pytest.Monke
     monkeypatch.setattr("jaxcslc._processes.can_fork", lambda: True)
     with computed_beside(os.getpid) as result:
         assert result() != os.getpid()
-    with computed_beside(os.getpid, allowed=False) as result:
-        assert result() == os.getpid()
 
 
 @pytest.mark.parametrize("beside", [False, True])
 def test_a_result_can_be_asked_for_again(monkeypatch: pytest.MonkeyPatch, beside: bool) -> None:
-    monkeypatch.setattr("jaxcslc._processes.can_fork", lambda: True)
-    with function_beside(lambda x: str(x), allowed=beside) as begin:
+    monkeypatch.setattr("jaxcslc._processes.can_fork", lambda: beside)
+    with function_beside(lambda x: (str(x), os.getpid())) as begin:
         result = begin(1)
-        assert (result(), result()) == ("1", "1")
-
-
-@pytest.mark.parametrize("beside", [False, True])
-def test_a_function_is_prepared_where_it_computes(
-    monkeypatch: pytest.MonkeyPatch, beside: bool
-) -> None:
-    monkeypatch.setattr("jaxcslc._processes.can_fork", lambda: True)
-
-    def prepare() -> Callable[[int], tuple[int, int]]:
-        process = os.getpid()
-        return lambda x: (x, process)
-
-    with prepared_beside(prepare, allowed=beside) as begin:
-        result, process = begin(3)()
-    assert result == 3
+        assert result() == result()
+        text, process = result()
+    assert text == "1"
     assert (process != os.getpid()) == beside
 
 
-def test_what_preparing_raises_is_raised_with_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_arguments_pass(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("jaxcslc._processes.can_fork", lambda: True)
+    with function_beside(len) as begin:
+        assert begin(bytes(3_000_000))() == 3_000_000
 
-    def prepare() -> Callable[[int], int]:
-        raise ValueError("nothing to prepare")
 
-    with prepared_beside(prepare) as begin:
-        result = begin(3)
-        with pytest.raises(ValueError, match="nothing to prepare"):
-            result()
+def test_a_function_that_is_not_called_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("jaxcslc._processes.can_fork", lambda: True)
+    with function_beside(len):
+        pass
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="threads are those of Linux")

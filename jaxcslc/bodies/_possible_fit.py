@@ -299,7 +299,7 @@ def possible_fit(
     parts: Sequence[JudgedPart],
     *,
     source: Source = "cross-validation",
-    systematic: Callable[[], SystematicError | None] = lambda: None,
+    systematic: SystematicError | None = None,
     always: bool = False,
     knowledge: Sequence[LinkKnowledge] = (),
     parameters: PhysicalParameters | None = None,
@@ -313,7 +313,7 @@ def possible_fit(
     20 %), and by 1 % at least.
 
     - `parts`: two or more, of which `training` consists; `source`: what they are.
-    - `systematic`: of the fit, asked for at the end, for the errors that movements are counted in.
+    - `systematic`: of the fit, for the errors that movements are counted in.
     - `parameters`: bodies that an estimator has fitted itself; those nearest to the fit if None.
 
     **Raises** as `physical_parameters`.
@@ -342,7 +342,6 @@ def possible_fit(
     relative = RelativeError.of(errors, free_errors, masks)
     held_out = held_out_of_parts(network, fit, parameters.k, parts, source, errors)
     free_held_out = held_out_of_parts(network, fit, fit.k, parts, source, free_errors)
-    shifts = systematic()
     return PossibleFit(
         parameters,
         fit,
@@ -351,8 +350,8 @@ def possible_fit(
         relative.change,
         relative.change_error,
         always or relative.beyond_chance(_CHANCE),
-        movement_of(fit, parameters, shifts),
-        moved_bodies(network, fit, parameters, shifts),
+        movement_of(fit, parameters, systematic),
+        moved_bodies(network, fit, parameters, systematic),
     )
 
 
@@ -365,7 +364,7 @@ def judged_bodies(
     choice: Choice,
     prior: Prior | None,
     source: Source = "cross-validation",
-    systematic: Callable[[], SystematicError | None] = lambda: None,
+    systematic: SystematicError | None = None,
     parameters: PhysicalParameters | None = None,
     step: Callable[[str], None] = lambda _: None,
 ) -> tuple[PossibleFit | None, HeldOut | None, tuple[str, ...]]:

@@ -52,12 +52,18 @@ def planar_arm(*friction: str) -> Manipulator:
 
 
 def swing(
-    network: CSLC, k: Sequence[float] | np.ndarray, *, samples: int = 1000, time_step: float = 0.01
+    network: CSLC,
+    k: Sequence[float] | np.ndarray,
+    *,
+    samples: int = 1000,
+    time_step: float = 0.01,
+    torque_noise: float = 0.0,
 ) -> Patterns:
-    """Return patterns of a sinusoidal motion with the exact torques of coefficients `k`.
+    """Return patterns of a sinusoidal motion with the torques of coefficients `k`.
 
     Joint i (from 0) moves by sin((1 + 0.3 i) t + 0.5 i) rad, for `samples` samples, `time_step`
-    apart [s]. All pairs count.
+    apart [s]. All pairs count. Torques are exact, or have normal noise of standard deviation
+    `torque_noise` [N m].
 
     >>> import jaxcslc as jc
     >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric")
@@ -73,6 +79,7 @@ def swing(
     phase = rate * t + 0.5 * joint
     q, qd, qdd = np.sin(phase), rate * np.cos(phase), -(rate**2) * np.sin(phase)
     torque = np.asarray(network.torque(np.asarray(k, dtype=float), q, qd, qdd))
+    torque = torque + torque_noise * np.random.default_rng(0).normal(size=q.shape)
     pairs = np.ones(q.shape, dtype=bool)
     return Patterns(t[:, 0], q, qd, qdd, torque, pairs, pairs)
 

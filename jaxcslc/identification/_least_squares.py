@@ -1,17 +1,16 @@
 """Estimators by least squares: on smoothed motion, and with instruments of simulated motion."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from .._processes import prepared_beside
 from ..bodies import JudgedPart, held_out_of_parts, judged_bodies, with_knowledge
 from ..friction import along_motion, checked_distance, linearised
 from ..instruments import DirectDynamics, InstrumentalVariables
-from ..least_squares import Identification, computed_on_host
+from ..least_squares import Identification
 from ..selection import PRE_SLIDING
 from ..uncertainty import (
     HeldOut,
@@ -25,10 +24,6 @@ from ..uncertainty import (
 from ._estimator import AbstractEstimator, Fit, Judged, held_out_of
 from ._exclusions import BODIES, LOAD_FRICTION, OFFSETS, PREVIOUS, SEVERAL
 from ._problem import Problem
-
-
-# Coefficients of fits, and which of them are determined, by recording.
-_Fitted = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,37 +57,30 @@ class Regression(AbstractEstimator):
     def judged(self, problem: Problem) -> Judged:
         request, network = problem.request, problem.network
         previous = request.previous
-        # Before the fit, since JAX's threads begin with it.
-        with prepared_beside(
-            partial(_systematic_errors, problem),
-            allowed=request.systematic
-            and computed_on_host(network, problem.judged.recording.position),
-        ) as begin:
-            problem.step("fitting coefficients")
-            fit = self.fit(problem)
-            several = fit.source if isinstance(fit.source, SeveralFit) else None
-            if several is not None:
-                problem = _less_offsets(problem, several)
-            identification = with_knowledge(fit.identification, problem.known)
-            shifts: Callable[[], Mapping[str, SystematicError] | None] = lambda: None
-            if request.systematic:
-                problem.step("computing systematic errors")
-                shifts = begin(_fitted(problem, identification, several))
-            bodies, held_out, sentences = None, None, ()
-            if previous is None:
-                bodies, held_out, sentences = judged_bodies(
-                    network,
-                    identification,
-                    problem.judged_patterns,
-                    partial(_parts, problem, identification, several),
-                    choice=request.possible,
-                    prior=request.prior,
-                    source="cross-validation" if several is None else "left-out recording",
-                    systematic=lambda: _combined(problem, several, shifts()),
-                    step=problem.step,
-                )
-            errors = shifts()
+        problem.step("fitting coefficients")
+        fit = self.fit(problem)
+        several = fit.source if isinstance(fit.source, SeveralFit) else None
+        if several is not None:
+            problem = _less_offsets(problem, several)
+        identification = with_knowledge(fit.identification, problem.known)
+        errors: Mapping[str, SystematicError] | None = None
+        if request.systematic:
+            problem.step("computing systematic errors")
+            errors = _systematic_errors(problem, identification, several)
         systematic = _combined(problem, several, errors)
+        bodies, held_out, sentences = None, None, ()
+        if previous is None:
+            bodies, held_out, sentences = judged_bodies(
+                network,
+                identification,
+                problem.judged_patterns,
+                partial(_parts, problem, identification, several),
+                choice=request.possible,
+                prior=request.prior,
+                source="cross-validation" if several is None else "left-out recording",
+                systematic=systematic,
+                step=problem.step,
+            )
         if several is not None and errors is not None:
             several, _ = several.allowing_for(errors)
         vectors: Mapping[str, Any] = {}
@@ -176,27 +164,18 @@ def _cross_validated(problem: Problem, fit: Fit, several: SeveralFit | None) -> 
 
 
 def _systematic_errors(
-    problem: Problem,
-) -> Callable[[_Fitted], Mapping[str, SystematicError]]:
-    """A function of fits by recording that returns their systematic errors."""
+    problem: Problem, identification: Identification, several: SeveralFit | None
+) -> Mapping[str, SystematicError]:
+    """The systematic errors of each recording's own fit."""
     (first, *_) = problem.recordings
     listed = problem.recordings if problem.part is None else {first: problem.part}
-    problems = {
-        name: SystematicProblem.of(problem.network, x.recording, x.settings, x.derivatives)
+    fits = {first: identification} if several is None else several.alone
+    return {
+        name: SystematicProblem.of(problem.network, x.recording, x.settings, x.derivatives).error(
+            np.asarray(fits[name].k), np.asarray(fits[name].determined), problem.request.groups
+        )
         for name, x in listed.items()
     }
-    return lambda fitted: {  # as dictionaries, which another process can send
-        name: problems[name].error(*values, problem.request.groups).without(())
-        for name, values in fitted.items()
-    }
-
-
-def _fitted(
-    problem: Problem, identification: Identification, several: SeveralFit | None
-) -> _Fitted:
-    (first, *_) = problem.recordings
-    fits = {first: identification} if several is None else several.alone
-    return {name: (np.asarray(fit.k), np.asarray(fit.determined)) for name, fit in fits.items()}
 
 
 def _combined(

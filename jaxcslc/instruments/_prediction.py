@@ -37,8 +37,8 @@ def link_poses(
     - `RobotError`: a length without value.
 
     >>> import numpy as np, jaxcslc as jc
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)])
-    >>> np.round(link_poses(arm, np.array([np.pi / 2, 0.0]))[1, :3, 3], 6).tolist()
+    >>> poses = link_poses(jc.examples.planar_arm(), np.array([np.pi / 2, 0.0]))
+    >>> poses[1, :3, 3].round(6).tolist()
     [0.0, 0.5, 0.0]
     """
     robot.length_values()  # says which has none

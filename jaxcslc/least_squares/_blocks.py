@@ -170,9 +170,9 @@ def shard_patterns(patterns: Patterns, devices: Sequence[Any] | None = None) -> 
 
     **Returns** the same patterns, as JAX's arrays, sharded along samples.
 
-    >>> import numpy as np, jaxcslc as jc
-    >>> motion, mask = np.ones((5, 6)), np.ones((5, 6), bool)
-    >>> patterns = jc.Patterns(np.arange(5.0), motion, motion, motion, motion, mask, mask)
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.turntable())
+    >>> patterns = jc.examples.swing(network, [0.5, 0.2, 0.05], samples=30)
     >>> sharded = jc.least_squares.shard_patterns(patterns)
     >>> sharded.q.sharding.spec[0], int(sharded.mask.sum())
     ('patterns', 30)

@@ -174,19 +174,16 @@ def fit_on_cluster(
     - `RuntimeError`: as `LeastSquares.fit`.
     - `ImportError`: without the extra `cluster`.
 
-    >>> import jaxcslc as jc, numpy as np, pathlib, tempfile
+    >>> import jaxcslc as jc, pathlib, tempfile
     >>> from distributed import Client
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(arm, lengths="numeric")
-    >>> t = np.arange(500)[:, None] * 0.01
-    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 0.2, 0.05]), q, qd, qdd))
+    >>> network = jc.derive(jc.examples.turntable())
+    >>> motion = jc.examples.swing(network, [0.5, 0.2, 0.05])
+    >>> recording = jc.Recording(motion.time, motion.q, motion.torque, motion.qd, motion.qdd)
     >>> options = {"processes": False, "n_workers": 1, "dashboard_address": ":0"}
     >>> with tempfile.TemporaryDirectory() as folder, Client(**options) as client:
     ...     paths = [pathlib.Path(folder) / f"{part}.parquet" for part in range(2)]
-    ...     for path, rows in zip(paths, (slice(0, 250), slice(250, 500))):
-    ...         columns = (x[rows] for x in (q, torque, qd, qdd))
-    ...         jc.save_recording(jc.Recording(t[rows, 0], *columns), path)
+    ...     for start, path in zip((0.0, 5.0), paths):
+    ...         jc.save_recording(recording.between(start, start + 5.0), path)
     ...     fit = jc.least_squares.fit_on_cluster(network, paths, client=client)
     >>> fit.k.round(6).tolist()
     [0.5, 0.2, 0.05]
@@ -213,8 +210,8 @@ def fit_fleet_on_cluster(
     **Returns** a `Fleet`.
 
     >>> import jaxcslc as jc
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> jc.least_squares.fit_fleet_on_cluster(jc.derive(arm, lengths="numeric"), [])
+    >>> network = jc.derive(jc.examples.turntable())
+    >>> jc.least_squares.fit_fleet_on_cluster(network, [])
     Traceback (most recent call last):
     ...
     ValueError: there are no files to fit; expected one or more
@@ -237,12 +234,9 @@ class Fleet:
 
     - `fits`: by the file's path, in the order of the files.
 
-    >>> import numpy as np, jaxcslc as jc
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(arm, lengths="numeric")
-    >>> t = np.arange(500)[:, None] * 0.01
-    >>> recording = jc.Recording(t[:, 0], np.sin(t), -0.5 * np.sin(t))
-    >>> fit = jc.identify(network, recording, settings=jc.Settings()).fit
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.turntable())
+    >>> fit = jc.LeastSquares().fit(network, jc.examples.swing(network, [0.5, 0.2, 0.05]))
     >>> fleet = jc.least_squares.Fleet({"monday": fit, "tuesday": fit})
     >>> fleet.to_pandas().shape, fleet.to_pandas().loc["monday"].index[:2].tolist()
     ((2, 9), ['result', 'rank'])

@@ -172,19 +172,12 @@ class Identification(eqx.Module):
     - `errors`: `"independent"` or `"correlated"`, what was allowed for; see `LeastSquares`. Or
       `"simulated"`: errors that simulated measurement noise made; see `jaxcslc.systems`.
 
-    >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(arm, lengths="numeric")
-    >>> network.names  # inertia, viscous and dry friction of a joint with an upright axis
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.turntable(), lengths="numeric")
+    >>> network.names  # inertia, viscous and Coulomb friction of a joint with an upright axis
     ('kB1', 'kv1', 'kd1')
-    >>> t = np.linspace(0, 5, 500)[:, None]
-    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
-    >>> noise = np.random.default_rng(0).normal(size=t.shape)
-    >>> torque = np.asarray(network.torque(jnp.array([0.5, 0.2, 0.05]), q, qd, qdd)) + 0.1 * noise
-    >>> everything = np.ones(t.shape, bool)
-    >>> fit = jc.LeastSquares(errors="independent").fit(
-    ...     network, jc.Patterns(t[:, 0], q, qd, qdd, torque, everything, everything)
-    ... )
+    >>> patterns = jc.examples.swing(network, [0.5, 0.2, 0.05], torque_noise=0.1)
+    >>> fit = jc.LeastSquares(errors="independent").fit(network, patterns)
     >>> low, high = fit.confidence_interval(0.95)[0]
     >>> bool(low < 0.5 < high)
     True

@@ -145,8 +145,7 @@ def expression_legend(network: CSLC) -> str:
     """Return what symbols in the expressions of a robot's coefficients mean, in which frames.
 
     >>> import jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> expression_legend(jc.derive(pendulum, lengths="numeric"))[:58]
+    >>> expression_legend(jc.derive(jc.examples.pendulum(), lengths="numeric"))[:58]
     'kB: base parameters. Of link i: mi mass, rxi ryi rzi centr'
     """
     groups = {
@@ -247,16 +246,10 @@ def verdicts(
 
     - `ValueError`: a fit of another network.
 
-    >>> import numpy as np, jaxcslc as jc
+    >>> import jaxcslc as jc
     >>> from jaxcslc.report import verdicts
-    >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(arm, lengths="numeric")
-    >>> t = np.linspace(0, 5, 500)[:, None]
-    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
-    >>> noise = np.random.default_rng(0).normal(size=t.shape)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 2.0, 0.001]), q, qd, qdd)) + 0.1 * noise
-    >>> everything = np.ones(t.shape, bool)
-    >>> patterns = jc.Patterns(t[:, 0], q, qd, qdd, torque, everything, everything)
+    >>> network = jc.derive(jc.examples.turntable(), lengths="numeric")
+    >>> patterns = jc.examples.swing(network, [0.5, 2.0, 0.001], torque_noise=0.1)
     >>> for verdict in verdicts(network, jc.LeastSquares().fit(network, patterns)):
     ...     print(verdict.name, verdict.kind)
     kB1 well determined
@@ -417,10 +410,8 @@ def coefficient_text(rows: list[dict[str, str | float | bool]]) -> str:
 
     >>> import jaxcslc as jc
     >>> from jaxcslc.report import coefficient_rows, coefficient_text
-    >>> pendulum = jc.Manipulator.from_modified_dh(
-    ...     [(0, 0, 0, 0)], gravity=(0, -9.81, 0), friction=()
-    ... )
-    >>> print(coefficient_text(coefficient_rows(jc.derive(pendulum, lengths="numeric"))))
+    >>> network = jc.derive(jc.examples.pendulum().with_friction(), lengths="numeric")
+    >>> print(coefficient_text(coefficient_rows(network)))
     name  unit   expression
     kB1   kg m²  Izz1 + Im1
     kB2   kg m   m1*rx1

@@ -38,17 +38,13 @@ class ReportComparison:
       stands for another combination of link parameters, or where one is not determined or was
       not fitted; `note` says which.
 
-    >>> import tempfile, numpy as np, jaxcslc as jc
+    >>> import tempfile, jaxcslc as jc
     >>> from jaxcslc.report import compare_reports
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.linspace(0, 5, 500)[:, None]
-    >>> motion, pairs = (np.sin(t), np.cos(t), -np.sin(t)), np.ones(t.shape, bool)
+    >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric")
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     for name, inertia in (("a", 0.5), ("b", 0.6)):
-    ...         torque = np.asarray(network.torque(np.array([inertia, 0.3, 0, 0.2, 0.1]), *motion))
-    ...         noisy = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
-    ...         patterns = jc.Patterns(t[:, 0], *motion, noisy, pairs, pairs)
+    ...         k = [inertia, 0.3, 0, 0.2, 0.1]
+    ...         patterns = jc.examples.swing(network, k, torque_noise=0.01)
     ...         jc.LeastSquares().fit(network, patterns).save(f"{folder}/{name}.json")
     ...     comparison = compare_reports(f"{folder}/a.json", f"{folder}/b.json")
     >>> [round(row["difference"], 3) for row in comparison.rows[:2]]
@@ -129,15 +125,11 @@ def compare_reports(first: str | Path, second: str | Path) -> ReportComparison:
 
     - `ValueError`: a file that is no identification, or two without a common coefficient.
 
-    >>> import tempfile
-    >>> import numpy as np, jaxcslc as jc
+    >>> import tempfile, jaxcslc as jc
     >>> from jaxcslc.report import compare_reports
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.arange(1000)[:, None] * 0.01
-    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 0.2, 0.05]), q, qd, qdd))
-    >>> report = jc.identify(network, jc.Recording(t[:, 0], q, torque), settings=jc.Settings())
+    >>> network = jc.derive(jc.examples.turntable(), lengths="numeric")
+    >>> recording = jc.examples.swing_recording(network, [0.5, 0.2, 0.05])
+    >>> report = jc.identify(network, recording, settings=jc.Settings())
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     _ = report.save(folder, pictures=False)
     ...     comparison = compare_reports(folder, folder)

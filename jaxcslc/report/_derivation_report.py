@@ -47,8 +47,7 @@ class DerivationReport:
 
     >>> import jaxcslc as jc
     >>> from jaxcslc.report import DerivationReport
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> report = DerivationReport.of(jc.derive(pendulum, lengths="numeric"))
+    >>> report = DerivationReport.of(jc.derive(jc.examples.pendulum()))
     >>> report.has_practical_tables
     True
     """

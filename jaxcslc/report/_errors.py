@@ -161,15 +161,9 @@ def compare(
     **Returns** an `ErrorTable`.
 
     >>> import numpy as np, jaxcslc as jc
-    >>> robot = jc.puma560()
-    >>> network = jc.derive(robot)
-    >>> k = network.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)
-    >>> still, all_pairs = np.zeros((10, 6)), np.ones((10, 6), bool)
-    >>> patterns = jc.Patterns(
-    ...     np.arange(10.0), still, still, still, network.torque(k, still, still, still),
-    ...     all_pairs, all_pairs,
-    ... )
-    >>> float(jc.compare(network, patterns, {"true": k}).epsilon[0])
+    >>> network, k = jc.derive(jc.examples.pendulum()), np.array([0.5, 0.3, -0.1, 0.2, 0.05])
+    >>> patterns = jc.examples.swing(network, k)
+    >>> float(jc.compare(network, patterns, {"true": k}).epsilon[0].round(9))
     0.0
     """
     names = tuple(vectors)

@@ -114,19 +114,12 @@ def degree_of_excitation(network: AbstractLinearNetwork, patterns: Patterns) -> 
 
     **Returns** an `Excitation`.
 
-    >>> import numpy as np, jaxcslc as jc
+    >>> import jaxcslc as jc
     >>> from jaxcslc.report import degree_of_excitation
-    >>> pendulum = jc.Manipulator.from_modified_dh(
-    ...     [(0, 0, 0, 0)], gravity=(0, -9.81, 0), friction=("viscous",)
-    ... )
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.linspace(0, 5, 500)[:, None]
-    >>> all_pairs = np.ones(t.shape, bool)
-    >>> patterns = jc.Patterns(
-    ...     t[:, 0], np.sin(t), np.cos(t), np.sin(3 * t), t, all_pairs, all_pairs
-    ... )
+    >>> network = jc.derive(jc.examples.pendulum("viscous"), lengths="numeric")
+    >>> patterns = jc.examples.swing(network, [0.5, 0.3, -0.1, 0.2])
     >>> excitation = degree_of_excitation(network, patterns)
-    >>> bool(excitation.condition < 10), tuple(excitation.group_condition)
+    >>> bool(excitation.condition < 100), tuple(excitation.group_condition)
     (True, ('base', 'viscous'))
     """
     # On the host from here: there is less to compute than to compile.

@@ -356,13 +356,9 @@ class Report(AbstractReport[CSLC]):
     `errors`, `excitation`, `held_out`, `systematic`, `warnings`, `notes` and others, which
     `docs/report.md` lists with what each is.
 
-    >>> import numpy as np, jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.arange(1000)[:, None] * 0.01
-    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
-    >>> recording = jc.Recording(t[:, 0], q, torque)
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric")
+    >>> recording = jc.examples.swing_recording(network, [0.5, 0.3, -0.1, 0.2, 0.05])
     >>> report = jc.identify(network, recording, settings=jc.Settings())
     >>> report.to_pandas().index.tolist()
     ['kB1', 'kB2', 'kB3', 'kv1', 'kd1']
@@ -427,13 +423,9 @@ def load_report(path: str | Path, robot: Manipulator | None = None) -> Report:
     - `ValueError`: the file is no identification of this robot; the message names file and entry.
 
     >>> import tempfile
-    >>> import numpy as np, jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.arange(1000)[:, None] * 0.01
-    >>> q, qd, qdd = np.sin(t), np.cos(t), -np.sin(t)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
-    >>> recording = jc.Recording(t[:, 0], q, torque)
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric")
+    >>> recording = jc.examples.swing_recording(network, [0.5, 0.3, -0.1, 0.2, 0.05])
     >>> report = jc.identify(network, recording, settings=jc.Settings())
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     _ = report.save(folder, pictures=False)

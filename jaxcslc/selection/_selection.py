@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from .._environment import core_count, require, require_float64
-from .._processes import SharedMap, can_fork, computed_beside
+from .._processes import can_fork, computed_beside
 from ..checks import TorqueLag, small_torque_lag
 from ..least_squares import HostColumns, Settings, columns_of, computed_on_host
 from ..network import CSLC
@@ -417,34 +417,26 @@ class _Trials:
 
     @contextlib.contextmanager
     def shared(self) -> Generator[Callable[[Sequence[Settings]], Iterable[Trial]]]:
-        """The trials of candidates, by processes or threads where that is worth it."""
-        if self._forks():
-            # What all processes need of the network is prepared once, with the first columns.
-            self._columns_of(self.start.preparation, self._patterns(self.start))
-            with SharedMap(self._trial) as run:
-                yield run
-        elif self.recording.samples >= SAMPLES_OF_THREADS:
-            # The same threads throughout: what new ones allocate, the process would keep.
-            with ThreadPoolExecutor(min(core_count(), _MOST_THREADS)) as pool:
-                yield partial(self._in_threads, pool)
-        else:
+        """The trials of candidates, by threads where that is worth it."""
+        if self.recording.samples < SAMPLES_OF_THREADS:
             yield partial(map, self._trial)
+            return
+        # The same threads throughout: what new ones allocate, the process would keep.
+        with ThreadPoolExecutor(min(core_count(), _MOST_THREADS)) as pool:
+            yield partial(self._in_threads, pool)
 
     @contextlib.contextmanager
     def torque_lag(self) -> Generator[Callable[[], TorqueLag]]:
         """A function that estimates the lag of the torque, or waits for a process that does.
 
-        Beside the search it costs no time, and hardly a search does without it.
+        Next to the search it costs no time, and nearly every search needs it.
         """
         estimate = partial(small_torque_lag, self.network, self.recording)
-        if self._forks():
+        if can_fork() and computed_on_host(self.network, self.recording.position):
             with computed_beside(estimate) as lag:
                 yield lag
         else:
             yield estimate
-
-    def _forks(self) -> bool:
-        return can_fork() and computed_on_host(self.network, self.recording.position)
 
     def score_of(self, settings: Settings) -> float:
         """The score of settings, computed once."""

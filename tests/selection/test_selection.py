@@ -65,7 +65,6 @@ def test_candidates_side_by_side_are_those_one_after_the_other(
     else:
         monkeypatch.setattr(selection_module, "can_fork", lambda: True)
         monkeypatch.setattr("jaxcslc._processes.can_fork", lambda: True)
-        monkeypatch.setattr("jaxcslc._processes.core_count", lambda: 3)
     together = jc.choose_settings(pendulum, recording, candidates)
     assert together.settings == alone.settings
     assert [x.settings for x in together.trials] == [x.settings for x in alone.trials]
