@@ -25,6 +25,7 @@ COMMON = {
         "_bounded_search",
         "_cache",
         "_chunks",
+        "_display",
         "_environment",
         "_field_types",
         "_plain_data",

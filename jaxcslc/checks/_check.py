@@ -1,10 +1,13 @@
 """Entry point of the checks: `check` and its result, `DataCheck`."""
 
 import dataclasses
+import html
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
+from .._display import bar_figure, html_table
 from .._text_table import text_table
 from ..manipulator import JointLimits
 from ..network import CSLC, derive
@@ -60,6 +63,45 @@ class DataCheck:
         return (
             f"{many} about errors and bodies {are} left out: {'; '.join(causes)}; mend that first",
         )
+
+    def plot(self) -> Any:
+        """Return a `plotly.graph_objects.Figure` of ranges, speeds and torques of all joints.
+
+        **Raises** `ImportError` without plotly, with the extra that installs it.
+
+        >>> import jaxcslc as jc
+        >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric")
+        >>> recording = jc.examples.swing_recording(network, [0.5, 0.3, -0.1, 0.2, 0.05])
+        >>> [bar.name for bar in jc.check(network, recording).plot().data]
+        ['recording 1', 'recording 1', 'recording 1']
+        """
+        panels: dict[str, dict[str, tuple[list[float], list[float]]]] = {
+            "range of position [rad or m]": {},
+            "top speed [rad/s or m/s]": {},
+            "largest torque [N m or N]": {},
+        }
+        for recording in self.recordings:
+            joints = recording.joints
+            none, low = [0.0] * len(joints), [joint.low for joint in joints]
+            bars = (
+                (low, [joint.high - joint.low for joint in joints]),
+                (none, [joint.speed for joint in joints]),
+                (none, [joint.largest for joint in joints]),
+            )
+            for panel, bar in zip(panels.values(), bars, strict=True):
+                panel[recording.name] = bar
+        names = [joint.name for joint in self.recordings[0].joints] if self.recordings else []
+        return bar_figure(repr(self), names, panels)
+
+    def __repr__(self) -> str:
+        kinds = ", ".join(dict.fromkeys(found.kind for found in self.findings))
+        return f"DataCheck(recordings: {len(self.recordings)}; {kinds or 'nothing looks wrong'})"
+
+    def _repr_html_(self) -> str:
+        """Return the findings and a table of each recording, for notebooks."""
+        lines = [f"<p>⚠ {html.escape(str(found))}</p>" for found in self.findings]
+        lines = lines or ["<p>nothing looks wrong</p>"]
+        return "".join([*lines, *(html_table(x.title, x.columns()) for x in self.recordings)])
 
     def __str__(self) -> str:
         pages = [str(recording) for recording in self.recordings]
@@ -265,8 +307,18 @@ class RecordingSummary:
         rate = 1.0 / interval
         return cls(name, recording.samples, duration, rate, joints, prismatic, excitation)
 
-    def __str__(self) -> str:
-        columns = {
+    @property
+    def title(self) -> str:
+        """The name, the number of samples and the units of `columns`, in words."""
+        return (
+            f"{self.name}: {self.samples} samples in {self.duration:.4g} s,"
+            f" {self.rate:.4g} a second; positions in rad, speeds in rad/s, torques in N m"
+            + (" (of prismatic joints m, m/s and N)" if self.prismatic else "")
+        )
+
+    def columns(self) -> dict[str, list[str]]:
+        """Return the columns of a table with one row for each joint, as texts."""
+        shown: dict[str, Callable[[JointSummary], str]] = {
             "joint": lambda joint: joint.name,
             "from": lambda joint: f"{joint.low:.3g}",
             "to": lambda joint: f"{joint.high:.3g}",
@@ -278,14 +330,12 @@ class RecordingSummary:
             "encoder step": lambda joint: f"{joint.resolution:.2g}" if joint.resolution else "none",
             "at rest": lambda joint: f"{100 * joint.resting_share:.0f} %",
         }
-        cells = [[shown(joint) for shown in columns.values()] for joint in self.joints]
-        title = (
-            f"{self.name}: {self.samples} samples in {self.duration:.4g} s,"
-            f" {self.rate:.4g} a second; positions in rad, speeds in rad/s, torques in N m"
-            + (" (of prismatic joints m, m/s and N)" if self.prismatic else "")
-        )
-        table = text_table(list(columns), cells, left=["joint"])
-        return "\n".join([title, table, *([self.excitation] if self.excitation else [])])
+        return {name: [text(joint) for joint in self.joints] for name, text in shown.items()}
+
+    def __str__(self) -> str:
+        columns = self.columns()
+        table = text_table(list(columns), list(zip(*columns.values(), strict=True)), left=["joint"])
+        return "\n".join([self.title, table, *([self.excitation] if self.excitation else [])])
 
 
 def _limit(value: float | None) -> str:

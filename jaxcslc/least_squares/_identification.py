@@ -13,6 +13,7 @@ import scipy
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+from .._display import html_table
 from .._environment import array_namespace, as_jax, require
 from .._scratch import unfinished
 from ._columns import untraced
@@ -318,6 +319,21 @@ class Identification(eqx.Module):
             f"Identification({len(self.names)} coefficients, rank {int(self.rank)}, condition"
             f" {float(self.condition):.3g}, torque error per joint [{rms}], errors {self.errors})"
         )
+
+    def _repr_html_(self) -> str:
+        """Return a table of the coefficients with 95 % intervals, for notebooks."""
+        if isinstance(self.k, Tracer) or self.k.ndim != 1:
+            return html_table(repr(self), {})
+        low, high = self.confidence_interval().T
+        columns = {
+            "coefficient": self.names,
+            "value": np.asarray(self.k),
+            "standard error": np.asarray(self.standard_error),
+            "from": low,
+            "to (95 %)": high,
+            "determined": ["yes" if determined else "no" for determined in self.determined],
+        }
+        return html_table(repr(self), columns)
 
     def __str__(self) -> str:
         if isinstance(self.k, Tracer) or self.k.ndim != 1:

@@ -7,8 +7,10 @@ from typing import Any, Literal, TypeAlias, get_args
 import equinox as eqx
 import jax
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Bool, Float
 
+from .._display import html_table
 from ._clock import TorqueAlignment, align_torque
 from ._masks import (
     STATIC_FRICTION_PART,
@@ -75,6 +77,27 @@ class Patterns(eqx.Module):
     def joints(self) -> int:
         """Number of joints: columns of torque."""
         return self.torque.shape[1]
+
+    def __repr__(self) -> str:
+        if not all(isinstance(x, np.ndarray | jax.Array) for x in vars(self).values()):
+            return eqx.tree_pformat(self)
+        if isinstance(self.mask, Tracer) or self.mask.ndim != 2:
+            return f"Patterns(of shape {self.torque.shape})"
+        return (
+            f"Patterns({self.samples} samples of {self.joints} joints,"
+            f" {100 * float(np.mean(self.mask)):.3g} % of the pairs fitted)"
+        )
+
+    def _repr_html_(self) -> str:
+        """Return a table of the joints, for notebooks."""
+        columns = {
+            "joint": [str(i + 1) for i in range(self.joints)],
+            "fitted [%]": 100 * np.mean(self.mask, axis=0),
+            "not in backlash [%]": 100 * np.mean(self.backlash_mask, axis=0),
+            "above the friction threshold [%]": 100 * np.mean(self.friction_mask, axis=0),
+            "RMS torque [N m or N]": np.sqrt(np.mean(np.asarray(self.torque) ** 2, axis=0)),
+        }
+        return html_table(repr(self), columns)
 
     def between(self, start: float, end: float) -> "Patterns":
         """Return the patterns with `start <= time < end` [s]; there may be none."""

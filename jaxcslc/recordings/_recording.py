@@ -5,12 +5,14 @@ Stale rows, which repeat the row before, are found and removed here.
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
+
+from .._display import curve_figure, html_table
 
 
 Samples: TypeAlias = Float[np.ndarray, " samples"]
@@ -272,6 +274,46 @@ class Recording(eqx.Module):
             velocity=None if velocity is None else change(velocity),
             acceleration=None if acceleration is None else change(acceleration),
         )
+
+    def plot(self) -> Any:
+        """Return a `plotly.graph_objects.Figure` of positions, torques and velocities over time.
+
+        A long recording is drawn by every so many samples: some thousand points a curve.
+
+        **Raises** `ImportError` without plotly, with the extra that installs it.
+
+        >>> import jaxcslc as jc
+        >>> network = jc.derive(jc.examples.pendulum())
+        >>> recording = jc.examples.swing_recording(network, [0.5, 0.3, -0.1, 0.2, 0.05])
+        >>> [curve.name for curve in recording.plot().data]
+        ['joint 1', 'joint 1']
+        """
+        panels = {"position [rad or m]": self.position, "torque [N m or N]": self.torque}
+        if self.velocity is not None:
+            panels["velocity [rad/s or m/s]"] = self.velocity
+        return curve_figure(repr(self), self.time - self.time[0], panels, self._labels)
+
+    @property
+    def _labels(self) -> tuple[str, ...]:
+        return self.joint_names or tuple(f"joint {i + 1}" for i in range(self.joints))
+
+    def __repr__(self) -> str:
+        duration = float(self.time[-1] - self.time[0])
+        return (
+            f"Recording({self.samples} samples of {self.joints} joints, {duration:.4g} s,"
+            f" {1.0 / float(np.median(np.diff(self.time))):.4g} Hz)"
+        )
+
+    def _repr_html_(self) -> str:
+        """Return a table of the joints, for notebooks."""
+        columns = {
+            "joint": self._labels,
+            "lowest position [rad or m]": np.min(self.position, axis=0),
+            "highest": np.max(self.position, axis=0),
+            "RMS torque [N m or N]": np.sqrt(np.mean(self.torque**2, axis=0)),
+            "largest": np.max(np.abs(self.torque), axis=0),
+        }
+        return html_table(repr(self), columns)
 
     def between(self, start: float, end: float) -> "Recording":
         """Return a segment of the recording, its times unchanged.
