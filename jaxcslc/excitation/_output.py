@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from .._scratch import unfinished
 from ..codegen import comment_text, identifier
-from ..instruments import link_poses
+from ..manipulator import joint_lines, link_poses
 from ..network import CSLC
 from ..report import (
     Code,
@@ -186,19 +186,13 @@ def _predicted(design: Design) -> Section:
 
 def _film(design: Design) -> list[Section]:
     robot, duration = design.network.robot, design.family.duration
-    if any(
-        length.value is None for joint in robot.joints for length in (joint.a, joint.b, joint.d)
-    ):
+    if not robot.has_all_lengths:
         return []  # lengths that are symbols have no positions
     _, (q, _, _) = design.sampled(min(_FILM_RATE, _FRAMES / duration))
     q = np.asarray(design.network.positions_of_all_joints(q))
-    n = robot.joint_count
-    frames = np.zeros((len(q), n + 1, 2, 3))
-    for frame, pose in zip(frames, q, strict=True):
-        links = [np.asarray(link) for link in link_poses(robot, pose)]
-        frame[:n, 1] = [link[:3, 3] for link in links]
-        frame[:n, 0] = [np.zeros(3) if i < 0 else frame[i, 1] for i in robot.parents]
-        frame[n] = links[-1][:3, 3] + [np.zeros(3), _TIP * links[-1][:3, 2]]
+    last = np.asarray(link_poses(robot, q))[:, -1]
+    tip = last[:, None, :3, 3] + np.array([[0.0], [_TIP]]) * last[:, None, :3, 2]
+    frames = np.concatenate([joint_lines(robot, q), tip[:, None]], axis=1)
     caption = f"Lines from joint to joint; {duration:g} s, over and over"
     lead = "The arm in motion; at the end, with a dot, the axis of the last joint."
     return [Section("Film", lead, (Film(frames, duration, caption),))]

@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._environment import require
-from ..instruments import link_poses
-from ..manipulator import Manipulator
+from ..manipulator import Manipulator, link_poses
 from ._limits import Surroundings
 
 

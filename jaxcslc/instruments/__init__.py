@@ -18,7 +18,6 @@ from ._estimators import (
 from ._prediction import (
     HorizonError as HorizonError,
     file_coefficients as file_coefficients,
-    link_poses as link_poses,
     prediction_error as prediction_error,
 )
 from ._simulation import (

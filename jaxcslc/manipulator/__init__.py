@@ -13,6 +13,7 @@ Modules, in reading order:
 - `_link_parameters`: inertial terms of a link, and measurable parameters of links and motors.
 - `_friction`: names of friction terms, coupled joints, and their checks.
 - `_manipulator`: the robot itself, and the file that it was read from.
+- `_kinematics`: frames of links at a pose.
 - `_placement`: modified Denavit-Hartenberg rows of joints with any axes.
 - `files`: readers of robot files, and the bundled robots.
 """
@@ -30,6 +31,7 @@ from ._joint import (
     RobotError as RobotError,
     Subnumbering as Subnumbering,
 )
+from ._kinematics import joint_lines as joint_lines, link_poses as link_poses
 from ._link_parameters import (
     LinkInertia as LinkInertia,
     LinkParameters as LinkParameters,
@@ -75,6 +77,8 @@ __all__ = [
     "Source",
     "Subnumbering",
     "fixed_together",
+    "joint_lines",
+    "link_poses",
     "load_robot",
     "modified_dh",
     "motor_inertia",

@@ -6,6 +6,7 @@ and `_friction`, of whose objects it is made.
 """
 
 import dataclasses
+import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._environment import require
+from .._text_table import text_table
 from ._friction import (
     FRICTION_TERMS,
     Coupling,
@@ -32,6 +34,7 @@ from ._joint import (
     gravity_vector,
     modified_dh_joints,
 )
+from ._kinematics import joint_lines
 from ._link_parameters import InertiaForm, LinkInertia, LinkParameters
 
 
@@ -477,6 +480,67 @@ class Manipulator:
                 row |= {} if values is None else {term: values[i]}
             rows.append(row)
         return pandas.DataFrame(rows, index=range(1, self.joint_count + 1)).rename_axis("joint")
+
+    def _table(self) -> tuple[list[str], list[list[str]]]:
+        """Return a table of joints: its header and rows of texts."""
+        of_joint = ["joint", "kind", "lowest", "highest", "speed", "torque"]
+        of_link = ["body", "mass [kg]", "centre of gravity [m]"]
+        rows: list[list[str]] = []
+        for i, (name, limit) in enumerate(zip(self.joint_names, self.joint_limits, strict=True)):
+            numbers = (limit.low, limit.high, limit.speed, limit.torque)
+            texts = [f"{x:.4g}" if math.isfinite(x) else "–" for x in numbers]
+            body = f"link {i + 1}" if self.source is None else self.source.links[i]
+            of_body = ["–", "–"]
+            if self.links is not None:
+                centre = ", ".join(f"{float(r):.3g}" for r in self.links[i].centre_of_gravity)
+                of_body = [f"{float(self.links[i].mass):.4g}", centre]
+            kind = "revolute" if self.kinds[i] == "R" else "prismatic"
+            rows.append([name, kind, *texts, body, *of_body])
+        return of_joint + of_link, rows
+
+    def __str__(self) -> str:
+        header, rows = self._table()
+        table = text_table(header, rows, left=("kind", "body", header[-1]))
+        return "\n".join([repr(self), table, *(f"note: {note}" for note in self.notes)])
+
+    def _repr_html_(self) -> str:
+        """Return joints, limits and bodies as a table, for notebooks."""
+        header, rows = self._table()
+        lines = [
+            "".join(f"<{tag}>{html.escape(text)}</{tag}>" for text in row)
+            for tag, row in (("th", header), *(("td", row) for row in rows))
+        ]
+        table = "".join(f"<tr>{line}</tr>" for line in lines)
+        notes = "".join(f"<p>{html.escape(note)}</p>" for note in self.notes)
+        units = "Positions in rad or m, speeds and torques per joint in SI units."
+        return f"<p>{html.escape(repr(self))}</p><table>{table}</table><p>{units}</p>{notes}"
+
+    def plot(self, q: Float[np.ndarray, " joints"] | None = None) -> Any:
+        """Draw lines from joint to joint, as a plotly figure that can be turned.
+
+        **Arguments**
+
+        - `q`: (n,) positions [rad or m]; zeros if None.
+
+        **Raises**
+
+        - `RobotError`: a length without value.
+        - `MissingExtraError`: without plotly.
+
+        >>> import jaxcslc as jc
+        >>> figure = jc.puma560().plot()
+        >>> len(figure.data[0].text)  # each of six lines has two ends, and a gap
+        18
+        """
+        graphs: Any = require("plotly.graph_objects", "report")
+        lines = joint_lines(self, np.zeros(self.joint_count) if q is None else np.asarray(q, float))
+        gaps = np.pad(lines, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan).reshape(-1, 3)
+        names = [text for name in self.joint_names for text in ("", name, "")]
+        axes = {f"{letter}axis_title": f"{letter} [m]" for letter in "xyz"}
+        x, y, z = gaps.T
+        trace = graphs.Scatter3d(x=x, y=y, z=z, text=names, mode="lines+markers", line_width=6)
+        layout: Any = {"title": self.name, "scene": {"aspectmode": "data", **axes}}
+        return graphs.Figure([trace], layout)
 
     def __repr__(self) -> str:
         links = "known links" if self.links is not None else "unknown links"

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.instruments import link_poses
+from jaxcslc.manipulator import link_poses
 
 
 _SECONDS = 12.0  # a turn of the picture

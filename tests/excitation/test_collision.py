@@ -20,7 +20,7 @@ from jaxcslc.excitation import (
     Planner,
     Surroundings,
 )
-from jaxcslc.instruments import link_poses
+from jaxcslc.manipulator import link_poses
 
 
 RADIUS = 0.05

@@ -7,11 +7,22 @@ from collections.abc import Callable
 from typing import Any
 
 import hypothesis
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 from hypothesis import strategies as st
 
 import jaxcslc
-from jaxcslc.manipulator import Joint, Length, LinkInertia, Manipulator, RobotError
+from jaxcslc.manipulator import (
+    Joint,
+    Length,
+    LinkInertia,
+    Manipulator,
+    RobotError,
+    joint_lines,
+    link_poses,
+)
 
 
 ROWS = [(0, 0, "d1", 0), ("-pi/2", 0.3, 0, "pi")]
@@ -206,3 +217,32 @@ def test_three_equal_moments() -> None:
     robot = Manipulator.from_modified_dh([(0, 0, 0, 0)], inertia=sphere)
     moments = {t.factors for t in derive_algebra(robot, "numeric").terms if t.factors != ("m",)}
     assert moments == {("Ixx",)}
+
+
+def test_lines_of_many_poses_follow_the_table_of_joints() -> None:
+    """A tree: both arms of a T; in NumPy, and in JAX under `jit`."""
+    rows = [(0, 0, 0, 0), (0, 0.5, 0, 0), (0, 0.3, 0, 0)]
+    robot = jaxcslc.Manipulator.from_modified_dh(rows, parents=[0, 1, 1])
+    q = np.array([[0.0, 0.0, 0.0], [np.pi / 2, 1.0, 2.0]])
+    lines = joint_lines(robot, q)
+    expected = [[[0, 0, 0], [0, 0, 0]], [[0, 0, 0], [0, 0.5, 0]], [[0, 0, 0], [0, 0.3, 0]]]
+    np.testing.assert_allclose(lines[1], expected, atol=1e-12)
+    traced = jax.jit(lambda q: link_poses(robot, q))(jnp.asarray(q))
+    np.testing.assert_allclose(traced[..., :3, 3], lines[..., 1, :], atol=1e-12)
+
+
+def test_a_robot_shows_joints_limits_and_bodies() -> None:
+    text, page = str(jaxcslc.puma560()), jaxcslc.puma560()._repr_html_()
+    for shown in (text, page):
+        assert all(word in shown for word in ("joint 6", "revolute", "17.4", "0, 0, 0.032"))
+    assert len(text.splitlines()) == 8
+    assert page.count("<tr>") == 7
+    named = dataclasses.replace(jaxcslc.puma560(), name="<script>")
+    assert "<script>" not in named._repr_html_()
+
+
+def test_a_plot_has_a_line_per_joint() -> None:
+    figure = jaxcslc.puma560().plot(np.zeros(6))
+    x = np.array(figure.data[0].x).reshape(6, 3)
+    assert np.isnan(x[:, 2]).all()
+    np.testing.assert_allclose(x[2], [0.0, 0.4318, np.nan])

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.instruments import link_poses
-from jaxcslc.manipulator import LinkParameters
+from jaxcslc.manipulator import LinkParameters, link_poses
 from jaxcslc.report import compare_reports, fit_quality
 from jaxcslc.report.sections._bodies import solid_ellipsoid
 

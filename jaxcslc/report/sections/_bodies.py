@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxcslc.bodies import PhysicalParameters, PossibleFit, possible_text
-from jaxcslc.instruments import link_poses
-from jaxcslc.manipulator import LinkParameters, RobotError
+from jaxcslc.manipulator import LinkParameters, RobotError, link_poses
 
 from .._charts import ArmChart, Ellipsoid
 from .._page import AbstractBlock, Column, Paragraph, Section, Table

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxcslc import CSLC, Patterns
-from jaxcslc.instruments import link_poses
+from jaxcslc.manipulator import link_poses
 from jaxcslc.network import JointProjection
 from jaxcslc.report import torque_errors
 

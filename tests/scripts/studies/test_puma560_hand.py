@@ -10,8 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.instruments import link_poses
-from jaxcslc.manipulator import LinkParameters, Manipulator
+from jaxcslc.manipulator import LinkParameters, Manipulator, link_poses
 from scripts.studies.puma560.hand import hand_effects, hand_errors
 
 
