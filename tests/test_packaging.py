@@ -370,8 +370,8 @@ def test_every_dependency_is_imported_and_every_import_declared() -> None:
     assert wrong == []
     ours = canonicalize_name(project["name"])
     asked = base.union(*extras.values()) - {ours}
-    # jax brings jaxlib; sympy finds python-flint by itself.
-    assert asked - used <= {"python-flint"}
+    # jax brings jaxlib; sympy finds python-flint by itself, and distributed cryptography.
+    assert asked - used <= {"python-flint", "cryptography"}
 
 
 # What needs an extra, and the extra.

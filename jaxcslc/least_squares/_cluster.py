@@ -318,7 +318,11 @@ def _factors_of_files(
 
 @contextlib.contextmanager
 def _client_or_local(distributed: Any, client: Any) -> Generator[Any]:
-    """A client, or that of a cluster of this machine's cores: processes of one thread."""
+    """Give a client, or that of a cluster of this machine's cores: processes of one thread.
+
+    A scheduler runs the code that it is sent. That of this machine's cores listens to the machine
+    itself alone, and only to whoever has the key of its certificate (`cryptography` makes it).
+    """
     if client is not None:
         yield client
         return
@@ -326,8 +330,10 @@ def _client_or_local(distributed: Any, client: Any) -> Generator[Any]:
     environment = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "PJRT_NPROC"), "1")
     with (
         distributed.LocalCluster(
+            host="127.0.0.1",
+            security=True,
             threads_per_worker=1,
-            dashboard_address=":0",
+            dashboard_address="127.0.0.1:0",
             env={**environment, "JAX_PLATFORMS": "cpu"},
         ) as cluster,
         distributed.Client(cluster) as local,

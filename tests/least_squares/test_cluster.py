@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import distributed
 import numpy as np
+import psutil
 import pytest
 from distributed import Client, LocalCluster
 from numpy.testing import assert_allclose, assert_array_equal
@@ -197,3 +199,25 @@ def test_command(paths: list[Path], client: Client, tmp_path: Path) -> None:
         result = run(*line, *more)
         assert result.exit_code == 2
         assert message in result.output
+
+
+def listening() -> set[tuple[str, int]]:
+    """Addresses and ports at which this process and its children can be reached."""
+    this = psutil.Process()
+    processes = (this, *this.children(recursive=True))
+    connections = [connection for process in processes for connection in process.net_connections()]
+    return {(x.laddr.ip, x.laddr.port) for x in connections if x.status == psutil.CONN_LISTEN}
+
+
+def test_nobody_else_reaches_a_local_cluster(arm: jc.CSLC, paths: list[Path]) -> None:
+    """Its scheduler runs the code that it is sent: by TLS, from this machine alone."""
+    before, during = listening(), set[tuple[str, int]]()
+    schedulers: list[str] = []
+
+    def look(_: str) -> None:
+        schedulers.append(distributed.default_client().scheduler_info()["address"])
+        during.update(listening())
+
+    jc.least_squares.fit_on_cluster(arm, paths[:2], progress=look)
+    assert schedulers[0].startswith("tls://127.0.0.1:")
+    assert {address for address, _ in during - before} == {"127.0.0.1"}
