@@ -33,7 +33,7 @@ $(stamp): pyproject.toml constraints.txt
 	  --editable '.[all]' --group dev
 	@touch $@
 
-demo: $(stamp) ## perform the experiment of Chapter 7 on two simulated PUMA 560s, into build/demo
+demo: $(stamp) ## identify an arm from its files, then repeat the experiment of the thesis, into build/demo
 	$(bin)/python -m scripts.studies.puma560.experiment -o build/demo $(ARGS)
 
 test: $(stamp) ## run all tests and the examples in docstrings (one file: ARGS=tests/test_x.py)

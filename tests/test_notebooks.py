@@ -36,8 +36,22 @@ def kinds(notebook: nbformat.NotebookNode) -> list[list[tuple[str, ...]]]:
 
 
 def test_there_are_notebooks() -> None:
-    names = "chapter_7 control first_identification friction into_mujoco learning_networks payload"
-    assert [path.stem for path in NOTEBOOKS] == [*names.split(), "when_not_to_trust"]
+    names = "chapter_7 control excitation_loop first_identification friction into_mujoco"
+    more = "learning_networks payload reading_the_report when_not_to_trust"
+    assert [path.stem for path in NOTEBOOKS] == f"{names} {more}".split()
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in NOTEBOOKS if p.stem != "chapter_7"], ids=lambda p: p.stem
+)
+def test_it_needs_the_package_alone_and_has_something_to_try(path: Path) -> None:
+    """Except that of the thesis's experiment, which needs the simulator."""
+    notebook = read(path)
+    words = "".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
+    assert 'pip install "jaxcslc[all]"' in words and "**Try**" in words
+    program = "\n".join(cell.source for cell in code(notebook))
+    assert not re.search(r"^\s*(?:import|from) (?:sim|scripts|tests)\b", program, re.MULTILINE)
+    assert not re.search(r"jaxcslc\S*\._", program), "names of a private module"
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

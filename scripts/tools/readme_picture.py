@@ -151,20 +151,20 @@ def label(
     )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("docs/images/identify.svg"))
-    arguments = parser.parse_args()
-    jc.enable_x64()
-    with tempfile.TemporaryDirectory() as folder:
-        example = jc.examples.write_example("panda", folder)
-        robot = jc.load_robot(example.robot)
-        network = jc.derive(robot)
-        train = jc.load_recording(example.train, joints=robot.joint_count)
-        held_out = jc.load_recording(example.validation, joints=robot.joint_count)
-        report = jc.identify(network, train, validation=held_out)
-        truth = jc.examples.read_truth(example, network)
-    settings = report.settings
+def picture(
+    report: jc.Report,
+    train: jc.Recording,
+    held_out: jc.Recording,
+    truth: Float[np.ndarray, " coefficients"],
+) -> str:
+    """The picture of an identification of which the truth is known, as SVG.
+
+    **Arguments**
+
+    - `train`, `held_out`: that were fitted, and that judged.
+    - `truth`: the true coefficients.
+    """
+    network, settings = report.network, report.settings
     patterns = settings.patterns(train)
     fits = []
     for end in _FITS:
@@ -191,7 +191,7 @@ def main() -> None:
         ' aria-label="A Panda arm moves; measured and predicted torque agree; intervals shrink">',
         '<rect width="860" height="330" rx="10" fill="#ffffff"/>',
         label(24, 24, "Franka Panda, simulated log", bold=True),
-        arm(robot, np.asarray(judged.q)[frames]),
+        arm(network.robot, np.asarray(judged.q)[frames]),
         torques(
             np.asarray(judged.time)[thinned],
             measured[thinned, _JOINT],
@@ -207,8 +207,24 @@ def main() -> None:
         ),
         "</svg>",
     ]
+    return "\n".join(content) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("-o", "--output", type=Path, default=Path("docs/images/identify.svg"))
+    arguments = parser.parse_args()
+    jc.enable_x64()
+    with tempfile.TemporaryDirectory() as folder:
+        example = jc.examples.write_example("panda", folder)
+        network = jc.derive(jc.load_robot(example.robot))
+        train, held_out = (
+            jc.load_recording(path, joints=7) for path in (example.train, example.validation)
+        )
+        report = jc.identify(network, train, validation=held_out)
+        drawing = picture(report, train, held_out, jc.examples.read_truth(example, network))
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
-    arguments.output.write_text("\n".join(content) + "\n", encoding="utf-8")
+    arguments.output.write_text(drawing, encoding="utf-8")
     print(f"wrote {arguments.output}: {arguments.output.stat().st_size / 1000:.0f} kB")
 
 

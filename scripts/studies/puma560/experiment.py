@@ -1,4 +1,7 @@
-"""The thesis's experiment: two PUMA 560s identified, judged and drawn as in Chapter 7.
+"""The demo: an arm identified from its files, then the thesis's experiment on two PUMA 560s.
+
+The first part is what a user does: `jaxcslc example panda`, `jaxcslc identify`. The second follows
+Chapter 7 of the thesis.
 
 Each of PUMA A and PUMA B, simulated with every disturbance of Section 7.2, performs the training
 and the comparison trajectory within its motors' limits of linearity, once per seed. Networks are
@@ -44,7 +47,8 @@ from scripts.studies.puma560.machines import (
     variants,
 )
 from scripts.studies.puma560.motor_limits import demand_rows, violation_rows
-from scripts.studies.puma560.page import index_page
+from scripts.studies.puma560.own_arm import FOLDER, OwnArm, identify_example
+from scripts.studies.puma560.page import EXPERIMENT, MODELS, experiment_page, front_page
 from scripts.studies.puma560.sign_check import sign_check
 from scripts.studies.puma560.tables import (
     agreement_rows,
@@ -187,7 +191,6 @@ def machine_note(network: jc.CSLC, puma: IdentifiedMachine) -> str:
 def experiment(options: argparse.Namespace) -> int:
     """Records, identifies, and writes every table and figure."""
     network = jc.derive(jc.puma560())
-    print(network)
     simulated = machines()
     others = variants(*simulated.values())
     recordings = recorded(options, simulated, others)
@@ -243,15 +246,32 @@ def experiment(options: argparse.Namespace) -> int:
             write_csv(folder / f"{name}.csv", rows)
         for number, figure in figures.items():
             save_picture(figure, folder / f"figure_{number}.png")
-        page = index_page(tables, {name: CAPTIONS[name] for name in figures}, notes)
-        (folder / "index.html").write_text(page, encoding="utf-8")
+        arm = identify_example(folder / FOLDER, quick=options.quick)
+        captions = {name: CAPTIONS[name] for name in figures}
+        every = experiment_page(tables, captions, notes)
+        (folder / EXPERIMENT).write_text(every, encoding="utf-8")
+        (folder / "index.html").write_text(front_page(arm, tables, captions), encoding="utf-8")
+        shutil.rmtree(options.output / FOLDER, ignore_errors=True)  # files alone are replaced
     shutil.rmtree(store_of(options))
-    for name, (caption, rows) in tables.items():
-        if name.split("_")[0] not in ("coefficients", "backlash", "one"):
-            print(f"\n{caption}\n{rows_table(rows)}")
-    print("\n" + "\n".join(notes))
-    print(f"\nwrote every table and figure into {options.output}; see index.html")
+    print(summary(arm, tables))
+    print(f"Open {options.output / 'index.html'}. All tables and figures: {EXPERIMENT} next to it.")
     return 0
+
+
+def summary(arm: OwnArm, tables: Tables) -> str:
+    """What the terminal shows of a run."""
+    rows = [
+        {"torque error ε [N m]": f"PUMA {letter.upper()}"}
+        | {name: row[model] for model, name, _ in MODELS if model in row}
+        for letter in "ab"
+        for row in tables[f"errors_{letter}"][1]
+        if row[""] == "mean ε"
+    ]
+    lines = ["An arm from its files: jaxcslc example panda, jaxcslc identify"]
+    lines += [f"  {arm.report.page().headline}", *(f"  {text}" for text in arm.sentences)]
+    lines += ["The thesis's experiment on two simulated arms, on motion that was not fitted"]
+    lines += [f"  {line}" for line in rows_table(rows).splitlines()]
+    return "\n".join(lines)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -44,7 +44,8 @@ CAPTIONS = {
     "7.4-2": "Motion of PUMA A's joint 5 in the training trajectory.",
     "7.5": "Half the summed squared errors of the training patterns, epoch by epoch. A bout of"
     " PERAL is ten epochs, after two hundred of backpropagation. Dotted: the direct solve.",
-    "7.6-1": "Measured and predicted torques of the comparison trajectory, PUMA A.",
+    "7.6-1": "Measured and predicted torques of the comparison trajectory, PUMA A, and below each"
+    " what predictions are off.",
     "7.6-2": "The same, PUMA B.",
     "7.6-4": "A reversal of PUMA A in the training trajectory: of all joints' reversals, the one"
     " whose lower ramp of the error, on either side, is highest in units of dry friction. In the"
@@ -62,18 +63,21 @@ _HEAVIEST = {2: 7.6, 3: 10.0}
 
 def torque_figure(network: jc.CSLC, puma: IdentifiedMachine) -> Figure:
     """Figs. 7.6-1 and 7.6-2."""
+    patterns = puma.comparison_patterns
+    models = {
+        "Ar+LS": "published (Ar+LS)",
+        "Ar+Rg": "published links, fitted friction (Ar+Rg)",
+        TRAINED if TRAINED in puma.vectors else CHOSEN: "identified (CSLC)",
+    }
     return torque_picture(
-        np.asarray(puma.comparison_patterns.time),
-        np.asarray(puma.comparison_patterns.torque),
+        np.asarray(patterns.time),
+        patterns.torque,
         {
-            model: np.asarray(
-                predicted_torque(network, puma.comparison_patterns, puma.vectors[model])
-            )
-            for model in ("Ar+LS", "Ar+Rg", TRAINED if TRAINED in puma.vectors else CHOSEN)
+            words: predicted_torque(network, patterns, puma.vectors[model])
+            for model, words in models.items()
         },
+        patterns.mask,
         title=f"{puma.name}: torques of the comparison trajectory",
-        units=("N m",) * 6,
-        mask=puma.comparison_patterns.mask,
     )
 
 

@@ -13,6 +13,8 @@ from scripts.studies.figures import QUIET, figure_of, legend_below, single_axes
 
 
 _MARKERS = ("o", "s", "^", "D", "v", "P")
+# Of models whose errors are compared: lines of one style, far apart in hue and in lightness.
+_MODELS = ("#D55E00", "#56B4E9", "black")
 
 
 def spline_subsets_picture(
@@ -206,64 +208,47 @@ def torque_picture(
     time: Float[np.ndarray, " samples"],
     measured: Float[Array | np.ndarray, "samples joints"],
     predicted: Mapping[str, Float[Array | np.ndarray, "samples joints"]],
+    mask: Bool[Array | np.ndarray, "samples joints"],
     *,
     title: str,
-    units: tuple[str, ...],
-    mask: Bool[Array | np.ndarray, "samples joints"] | None = None,
-    names: tuple[str, ...] | None = None,
 ) -> Figure:
-    """Measured and predicted torque of every joint against time (Figs. 7.6-1, 7.6-2).
+    """Torque of every joint against time, and below it what predictions are off (Fig. 7.6-1).
+
+    Predictions that are good lie on top of each other and of the measured torque. Their errors
+    tell them apart.
 
     **Arguments**
 
-    - `time`: (samples,) [s]; a gap longer than ten sampling intervals breaks the curves.
-    - `measured`: (samples, n) [N m or N].
+    - `time`: (samples,) [s].
+    - `measured`: (samples, n) [N m].
     - `predicted`: the same of each model, by name.
-    - `units`: of each joint's torque.
-    - `mask`: (samples, n), the judged samples: predictions are drawn for these only. By default
-      for all.
-    - `names`: of the joints; `"joint 1"` and so on if omitted.
+    - `mask`: (samples, n), the judged samples: predictions are drawn for these only.
 
     **Returns** a matplotlib figure; `figure.savefig(path)` draws it.
     """
-    measured = np.asarray(measured)
+    measured, shown = np.asarray(measured), np.asarray(mask)
     n = measured.shape[1]
-    shown = np.ones(measured.shape, bool) if mask is None else np.asarray(mask)
     rows = -(-n // 2)
-    figure = new_figure(11.0, 1.2 + 2.3 * rows)
-    axes = np.atleast_2d(figure.subplots(rows, 2, sharex=True))
-    breaks = np.flatnonzero(np.diff(time) > 10 * np.median(np.diff(time))) + 1
-
-    def broken(values: np.ndarray) -> np.ndarray:
-        return np.insert(values.astype(float), breaks, np.nan)
-
+    figure = new_figure(11.0, 1.2 + 3.2 * rows)
+    axes = figure.subplots(2 * rows, 2, sharex=True, height_ratios=(2, 1) * rows)
     # Down the columns, as in the thesis: joints 1 to 3 on the left of a six-jointed arm.
-    for joint, axis in enumerate(axes.T.flat):
-        if joint >= n:
-            axis.set_visible(False)
-            continue
-        clock = broken(time)
-        axis.plot(clock, broken(measured[:, joint]), color=MEASURED, lw=3.0, label="measured")
-        for i, (name, torque) in enumerate(predicted.items()):
-            axis.plot(
-                clock,
-                broken(np.where(shown[:, joint], np.asarray(torque)[:, joint], np.nan)),
-                color=COLOURS[i % len(COLOURS)],
-                ls=STYLES[i % len(STYLES)],
-                lw=1.0,
-                label=name,
-            )
-        name = f"joint {joint + 1}" if names is None else names[joint]
-        axis.set_ylabel(f"{name} [{units[joint]}]" if units[joint] else name)
-        axis.grid(alpha=0.25)
-        axis.margins(x=0.01)
+    for joint in range(n):
+        row, column = joint % rows, joint // rows
+        torques, errors = axes[2 * row, column], axes[2 * row + 1, column]
+        torques.plot(time, measured[:, joint], color=MEASURED, lw=3.0, label="measured")
+        for (name, torque), colour in zip(predicted.items(), _MODELS, strict=True):
+            curve = np.where(shown[:, joint], np.asarray(torque)[:, joint], np.nan)
+            torques.plot(time, curve, color=colour, lw=1.0, label=name)
+            errors.plot(time, curve - measured[:, joint], color=colour, lw=0.8, label=name)
+        torques.set_ylabel(f"joint {joint + 1} [N m]")
+        errors.set_ylabel("error [N m]")
+        for axis in (torques, errors):
+            axis.grid(alpha=0.25)
+            axis.margins(x=0.01)
     for axis in axes[-1]:
         axis.set_xlabel("time [s]")
-        axis.tick_params(labelbottom=True)
-    if n % 2 and rows > 1:  # the last column ends one row higher
-        axes[-2, 1].set_xlabel("time [s]")
-        axes[-2, 1].tick_params(labelbottom=True)
+    figure.align_ylabels()
     figure.suptitle(title)
-    handles, labels = axes.flat[0].get_legend_handles_labels()
+    handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
     return figure

@@ -1,4 +1,4 @@
-"""The index page of the experiment: its tables and figures by topic, terms explained first."""
+"""Pages of the demo: the front page, and all tables and figures of the experiment by topic."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,6 +12,7 @@ from jaxcslc.report import (
     Details,
     Link,
     Message,
+    Messages,
     Page,
     Paragraph,
     Picture,
@@ -21,6 +22,7 @@ from jaxcslc.report import (
     render,
 )
 from scripts.studies.puma560.machines import CHOSEN, TRAINED
+from scripts.studies.puma560.own_arm import OwnArm, own_arm_sections
 
 
 Rows = list[dict[str, Any]]
@@ -96,7 +98,94 @@ _VERDICTS: dict[str, Tone] = {
 }
 
 
-def index_page(
+# Models of the front page: column of the table of errors, name, and what it means.
+MODELS = (
+    ("Ar+LS", "published", "Links that Armstrong et al. measured on another PUMA 560, with friction"
+     " of Leahy and Saridis (Ar+LS). This is what you have without identification."),
+    ("Ar+Rg", "published, friction fitted", "The same links, with friction fitted to this arm's"
+     " recording (Ar+Rg)."),
+    (CHOSEN, "identified", "All coefficients by least squares from the recording, with the settings"
+     " that jaxcslc identify chooses (CSLC)."),
+    (TRAINED, "trained network", "The same coefficients, learnt as weights of a network as in the"
+     " thesis, by gradient descent and by its own rule, PERAL."),
+    ("true", "true", "The coefficients of the simulated arm. The error that remains is due to what"
+     " the model does not have: backlash, static friction, encoder ticks."),
+)  # fmt: skip
+EXPERIMENT = "experiment.html"  # the page with all tables and figures
+
+
+def front_page(
+    arm: OwnArm, tables: Mapping[str, tuple[str, Rows]], captions: Mapping[str, str]
+) -> str:
+    """The first page: an arm identified from its files, then what the experiment found.
+
+    **Arguments**
+
+    - `arm`: that was identified.
+    - `tables`: captions and rows, by the name of the CSV file.
+    - `captions`: of the figures, by number.
+    """
+    tone, headline, _ = _verdict(tables)
+    tool = arm.report.page()
+    lines = [*tool.summary, *(Message(f"{x[0].upper()}{x[1:]}.", "good") for x in arm.sentences)]
+    names = {column: name for column, name, _ in MODELS}
+    columns = [Column("coefficients", numeric=False), Column("PUMA A", digits=3)]
+    columns += [Column("PUMA B", digits=3), Column("thesis, PUMA A"), Column("thesis, PUMA B")]
+    errors = [{row[""]: row for row in tables[f"errors_{letter}"][1]} for letter in "ab"]
+    shown = [name for name in names if name in errors[0]["mean ε"]]
+    rows = tuple(
+        (
+            names[model],
+            *(
+                _value(table[row][model])
+                for row in ("mean ε", "mean ε, thesis")
+                for table in errors
+            ),
+        )
+        for model in shown
+    )
+    terms = tuple((name, text) for model, name, text in MODELS if model in shown)
+    meaning = (
+        Column("coefficients", numeric=False),
+        Column("meaning", numeric=False, wide=True, longest=400),
+    )
+    experiment = Section(
+        "The experiment of the thesis",
+        "The model is that of a doctoral thesis, the context-sensitive linear combiner (CSLC). Its"
+        " Chapter 7 identifies two PUMA 560 arms from a recording of their motion each, and judges"
+        " the coefficients on another motion, the comparison trajectory. This run repeats it on two"
+        " simulated arms, PUMA A and PUMA B. Their true coefficients are known, and they have the"
+        " disturbances of real arms: encoder ticks, static friction, backlash, elastic gears.",
+        [
+            Messages((Message(headline, tone),)),
+            Table(
+                tuple(columns),
+                rows,
+                "Error cost ε on the comparison trajectory [N m]: half the root mean square of the"
+                " joints' torque errors, averaged over samples. The thesis's arms were real.",
+                "epsilon",
+            ),
+            Table(meaning, terms, "What the coefficients are", "terms"),
+            *_figures({"7.6-1": captions["7.6-1"]}, ["7.6-1"]),
+            Link(EXPERIMENT, "All tables and figures of the experiment"),
+        ],
+    )
+    worst: Tone = max(tone, tool.tone, key=("plain", "good", "caution", "bad").index)
+    page = Page(
+        title="Identification of robot arms with jaxcslc",
+        subtitle="An arm from its files, and the experiment of the thesis on two simulated arms",
+        headline=tool.headline,
+        tone=worst,
+        summary=(
+            *lines,
+            Message(f"The experiment of the thesis: {headline[0].lower()}{headline[1:]}", tone),
+        ),
+        sections=(*own_arm_sections(arm), experiment),
+    )
+    return render(page)
+
+
+def experiment_page(
     tables: Mapping[str, tuple[str, Rows]], captions: Mapping[str, str], notes: Sequence[str]
 ) -> str:
     """One page with every table and figure, in sections by topic.

@@ -8,6 +8,7 @@ import contextlib
 import csv
 import functools
 import io
+import json
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -24,6 +25,8 @@ import sim
 from scripts.studies.puma560 import experiment
 from scripts.studies.puma560.figures import CAPTIONS
 from scripts.studies.puma560.machines import machines
+from scripts.studies.puma560.own_arm import FOLDER
+from scripts.studies.puma560.page import EXPERIMENT
 from scripts.studies.puma560.reversals import clean_turn, clearest_ramps
 from scripts.studies.puma560.thresholds import passage
 
@@ -83,6 +86,7 @@ def torque(puma: jc.CSLC) -> Torque:
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
     folder = tmp_path_factory.mktemp("demo") / "experiment"
+    (folder / FOLDER / "results").mkdir(parents=True)  # an earlier run left it
     figures: dict[str, Figure] = {}
 
     def keep(figure: Figure, path: Path) -> None:
@@ -97,7 +101,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
 
 
 def test_page_has_every_table_and_figure(demo: Demo) -> None:
-    page = (demo.folder / "index.html").read_text(encoding="utf-8")
+    page = (demo.folder / EXPERIMENT).read_text(encoding="utf-8")
     written = {path.name for path in demo.folder.iterdir()}
     # A quick run trains nothing.
     assert set(demo.figures) == set(CAPTIONS) - {"7.5"}
@@ -110,7 +114,46 @@ def test_page_has_every_table_and_figure(demo: Demo) -> None:
     }
     assert len(recordings) == 4
     assert linked == {name for name in written if name.endswith(".csv")} - recordings
-    assert "wrote every table and figure" in demo.printed
+
+
+def test_front_page_shows_the_tool_then_the_thesis(demo: Demo) -> None:
+    page = (demo.folder / "index.html").read_text(encoding="utf-8")
+    page = re.sub("<(script|style).*?</\\1>", "", page, flags=re.DOTALL)
+    headings = re.findall(r"<h2>([^<]+)</h2>", page)
+    assert headings == [
+        "Identify an arm from its files",
+        "What comes back",
+        "The experiment of the thesis",
+    ]
+    assert not re.search("PERAL|epoch", page[: page.index('id="terms"')])
+    files = set(re.findall(r'(?:src|href)="([^"#]+)"', page))
+    assert files == {
+        "panda/identify.svg",
+        "panda/results/index.html",
+        "figure_7.6-1.png",
+        EXPERIMENT,
+    }
+    assert all((demo.folder / file).is_file() for file in files)
+    shown = {row[""]: row for row in demo.rows("errors_b")}["mean ε"]
+    assert all(f"{float(shown[model]):.3g}</td>" in page for model in ("Ar+LS", "CSLC", "true"))
+
+
+def test_front_page_counts_the_intervals_of_its_report(demo: Demo) -> None:
+    report = jc.load_report(demo.folder / FOLDER / "results")
+    with (demo.folder / FOLDER / "truth.json").open(encoding="utf-8") as file:
+        coefficients = json.load(file)["coefficients"]
+    table = report.to_pandas()
+    truth = np.array([coefficients[name] for name in report.names])
+    inside = int(((table["low"] <= truth) & (truth <= table["high"])).sum())
+    assert f"{inside} of {len(truth)} intervals contain the true value" in demo.printed
+    assert inside / len(truth) > LEAST_SHARE
+
+
+def test_terminal_shows_few_lines(demo: Demo) -> None:
+    lines = demo.printed.splitlines()
+    assert len(lines) <= 13  # of 15, `make` and the estimate of time have one each
+    assert max(map(len, lines)) <= 100
+    assert lines[-1].startswith("Open ") and EXPERIMENT in lines[-1]
 
 
 def test_figures_say_which_machine_they_show(demo: Demo) -> None:
@@ -125,7 +168,9 @@ def test_torque_figures_show_the_recordings(demo: Demo) -> None:
         patterns = JUDGED.patterns(recording)
         for axes in demo.figures[number].axes:
             match = re.match(r"joint (\d)", axes.get_ylabel())
-            assert match is not None
+            if match is None:
+                assert axes.get_ylabel() == "error [N m]"
+                continue
             measured = next(line for line in axes.lines if line.get_label() == "measured")
             shown = np.asarray(measured.get_ydata(), float)
             assert_allclose(shown, patterns.torque[:, int(match[1]) - 1])
