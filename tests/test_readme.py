@@ -11,6 +11,7 @@ import jaxcslc as jc
 from jaxcslc.cli._app import command_named
 from tests.conftest import run
 from tests.recordings.conftest import write_bag
+from tests.test_tutorial import is_shown
 
 
 ROOT = Path(__file__).parents[1]
@@ -115,14 +116,18 @@ def test_the_commands_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.Monk
         recording = jc.Recording(dense.time[::5], dense.position[::5], dense.torque[::5])
         write_bag(Path(f"{name}.bag"), recording, version="bag", names=names)
     shutil.copy(made.robot, "arm.urdf")
+    printed: list[str] = []
     for line in command_lines():
         if "excite" in line:  # half a minute; its own tests run it
             continue
         monkeypatch.chdir(tmp_path / "panda" if " panda.urdf" in line else tmp_path)
         result = run(*shlex.split(line, comments=True)[1:])
         assert result.exit_code == 0, f"{line}: {result.output} {result.exception}"
+        printed += result.output.splitlines()
     assert "mass value" in Path("arm_identified.urdf").read_text()
     assert Path("arm.c").exists() and Path("panda/results/index.html").exists()
+    (shown,) = re.findall(r"```text\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL)
+    assert [line for line in shown.splitlines() if not is_shown(line, printed)] == []
 
 
 def test_the_commands_of_the_readme_have_their_options() -> None:

@@ -5,7 +5,8 @@
 
 The rules are those of plain technical English. A sentence of a guide has at most 30 words, and
 the mean of a page is at most 17. Phrases that a reader has to translate have a better one, which
-the message names. Evidence pages, which studies write, are checked for phrases alone.
+the message names. A guide has no dates and no studies: they belong on evidence pages, which are
+checked for phrases alone.
 """
 
 import argparse
@@ -54,6 +55,10 @@ PHRASES: dict[str, str] = {
     r"\bas ever\b": "as usual",
     r"\bgo(?:es)? astray\b": "fails",
 }
+# What a page of figures has, and a guide has not.
+_EVIDENCE_SIGN = re.compile(r"\b20\d\d-[01]\d-[0-3]\d\b|scripts[./]studies\b")
+# Pages on the simulator and on training may name the studies that they belong to.
+_WITH_STUDIES = frozenset({"CONTRIBUTING.md", "simulator.md"})
 _SYMBOLS = {"ε": r"ε\b.{0,80}(?:is|:|=|mean|error)", "γ": r"γ.{0,60}(?:is|:|=|1 / slope)"}
 
 
@@ -130,6 +135,12 @@ def findings(page: Path) -> list[Finding]:
                 start = " ".join(sentence.split()[:6])
                 found.append(
                     Finding(page, number, f"'{start} ...' has {count} words; at most {LONGEST}")
+                )
+    if not is_evidence(page) and page.name not in _WITH_STUDIES:
+        for number, line in enumerate(text.splitlines(), 1):
+            if match := _EVIDENCE_SIGN.search(line):
+                found.append(
+                    Finding(page, number, f"'{match.group(0)}': belongs on an evidence page")
                 )
     for symbol, definition in _SYMBOLS.items():
         if symbol in text and not re.search(definition, text):

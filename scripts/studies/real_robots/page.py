@@ -14,6 +14,8 @@ _INTRODUCTION = """\
   TX40.
 - `--friction auto` helps the Panda most.
 
+![Bars: held-out torque errors on three real arms](images/evidence/real_robots.svg)
+
 The numbers are 100·‖error‖/‖torque‖ per joint [%], of the raw torque. The first is over all
 samples. The second is over the samples that the masks keep, without slow motion. Bold is the
 smallest error over all samples and those within 2 % of it. All methods are judged on motion that

@@ -1,0 +1,253 @@
+"""Draw the charts at the top of evidence pages, from the tables below them.
+
+    python -m scripts.tools.evidence_charts
+
+A bar is a stored figure (`stored_figures.py`), so that a chart and its page agree. A test draws
+them again and fails if a picture in docs/images/evidence is another.
+"""
+
+import html
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from scripts.tools.stored_figures import stored
+
+
+FOLDER = Path(__file__).parents[2] / "docs" / "images" / "evidence"
+# Far apart in hue and in lightness (Okabe and Ito).
+_COLOURS = ("#0072b2", "#e69f00", "#3b3b3b", "#56b4e9", "#d55e00")
+_BAR, _GAP, _LEFT, _WIDTH, _TOP = 13, 10, 250, 760, 64  # pixels
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Bars in groups, one bar per series.
+
+    **Attributes**
+
+    - `title`: with the unit.
+    - `figure`: reference of a bar, with `{group}` and `{series}`.
+    - `groups`, `series`: label and what stands in the reference.
+    """
+
+    title: str
+    figure: str
+    groups: Mapping[str, str]
+    series: Mapping[str, str]
+
+    def values(self) -> list[list[float]]:
+        """Return the bars of each group; of a benchmark the least."""
+        return [
+            [
+                min(stored(self.figure.format(group=group, series=one)))
+                for one in self.series.values()
+            ]
+            for group in self.groups.values()
+        ]
+
+
+def _same(*names: str) -> dict[str, str]:
+    return {name: name for name in names}
+
+
+_ARMS = {
+    "KUKA KR300, motion B": "KUKA KR300 | B",
+    "KUKA KR300, motion C": "KUKA KR300 | C",
+    "Franka Panda": "Franka Panda | last third",
+    "Stäubli TX40": "Stäubli TX40 | last third",
+}
+
+CHARTS: Mapping[str, Chart] = {
+    "real_robots": Chart(
+        "Held-out torque error, mean of the joints [% of the torque]",
+        "real_robots.md # {group} | {series} | mean",
+        _ARMS,
+        {
+            "usual pipeline, weighted": "usual pipeline, 20 Hz, WLS",
+            "auto": "auto",
+            "auto, friction auto": "auto, friction auto",
+        },
+    ),
+    "estimators": Chart(
+        "95 % intervals that contain the truth [%]",
+        "estimators.md # Comparison | {series} | {group} | 95 % intervals that hold",
+        _same(
+            "least squares",
+            "least squares, with systematic errors",
+            "instruments, known controller",
+            "instruments, observer",
+            "direct dynamics, known controller",
+        ),
+        {"encoders": "encoders", "all disturbances": "all disturbances of the thesis"},
+    ),
+    "likelihood": Chart(
+        "Held-out torque error on real arms, mean of the joints [%]",
+        "real_robots.md # {group} | {series} | mean",
+        _ARMS,
+        {"least squares": "least-squares", "maximum likelihood": "maximum-likelihood"},
+    ),
+    "friction": Chart(
+        "KUKA KR300, motion B: torque error by friction at standstill [%]",
+        "friction_evidence.md # Joints at standstill | motion | {series} | {group}",
+        {f"joint {joint}": str(joint) for joint in range(1, 7)},
+        {
+            "by the sign of velocity": "KUKA KR300, B & by the sign of velocity",
+            "mean of before and after": "1 to 7 % of samples are rest & mean of before and after",
+        },
+    ),
+    "uncertainty": Chart(
+        "Of 43 intervals of 95 %, those that contain the truth",
+        "uncertainty_evidence.md # Systematic errors |  | {group} | {series}",
+        _same(
+            "PUMA A, encoders",
+            "PUMA A, all disturbances",
+            "PUMA B, encoders",
+            "PUMA B, all disturbances",
+        ),
+        {"standard error alone": "standard error alone", "with systematic errors": "all"},
+    ),
+    "excitation": Chart(
+        "Mean error of the coefficients, by motion [%]",
+        "excitation_evidence.md # Results | motion | {group} | {series}",
+        _same(
+            "designed: overall",
+            "designed: mean standard error",
+            "D-optimal",
+            "least condition number",
+            "random Fourier series within the limits",
+        ),
+        {"error": "mean error", "reported standard error": "mean reported standard error"},
+    ),
+    "scale": Chart(
+        "Seconds, on the quicker of two machines with two cores",
+        "benchmark {group}.{series}",
+        {
+            "3,300 samples": "identify.puma560",
+            "20,000 samples, URDF": "urdf.identify_choosing",
+            "3,300, maximum likelihood": "likelihood.3300_samples",
+        },
+        {"first run": "first_run", "later run": "later_run"},
+    ),
+    "recordings": Chart(
+        "Exported files: torque error over that of the fit, geometric mean of ten recordings",
+        "recordings_evidence.md # Exported files | recording | {group} | {series}",
+        _same("20 s, half of the top speed", "20 s, slow: 15 % of it", "5 s, 30 % of it"),
+        {
+            "URDF and motor inertias": "URDF and motor inertias",
+            "URDF alone": "URDF alone (`--no-motors`)",
+        },
+    ),
+    "systems": Chart(
+        "Coefficients within two standard errors of the truth [%]; 95.4 are expected",
+        "systems_evidence.md # Examples | system | {group} | {series}",
+        {
+            "cart-pole": "cart-pole, 6 coefficients",
+            "vehicle": "vehicle, 3",
+            "motor": "motor, 12",
+            "quadrotor": "quadrotor, 9",
+            "tanks": "tanks, 4",
+        },
+        {"corrected": "within 2 errors", "least squares": "least squares"},
+    ),
+    "control": Chart(
+        "Error of the hand, median of twenty simulated arms [mm RMS]",
+        "control_evidence.md # Benefit of identification |  | {group} | {series}",
+        {
+            "PID": "PID, the thesis's gains",
+            "published (Ar+LS)": "computed torque, Ar+LS",
+            "friction fitted (Ar+Rg)": "computed torque, Ar+Rg",
+            "identified (CSLC)": "computed torque, CSLC",
+            "true": "computed torque, truth",
+        },
+        {"go-to in 3 s": "go-to, 3 s", "circle in 3 s": "circle, 3 s"},
+    ),
+    "payload": Chart(
+        "Payload of 0.5 kg: detected after [s]",
+        "payload_evidence.md # Payload: evidence |  | {series} | {group}",
+        _same("quantised encoders", "static friction as well", "all disturbances"),
+        {
+            "picked up": "picked up, detected after [s]",
+            "put down": "put down, detected after [s]",
+        },
+    ),
+    "peral": Chart(
+        "Epochs until the goal, linear classes and CSLC",
+        "peral.md # Results |  | {group} | {series}",
+        _same("linear, correlated inputs", "logistic, correlated inputs", "CSLC, 3 joints"),
+        {"backpropagation": "backpropagation", "with PERAL": "indicator", "L-BFGS": "L-BFGS"},
+    ),
+    "generalisation": Chart(
+        "ε on training and on comparison motion, median of ten seeds [N m]",
+        "generalisation.md # Results |  | {group} | {series}",
+        {"CSLC": "CSLC", **{f"tanh, {n} nodes": f"tanh {n}" for n in (4, 8, 16)}},
+        {"training": "training", "comparison": "comparison"},
+    ),
+    "experiment": Chart(
+        "Torque error ε on the comparison trajectory [N m]",
+        "demo/errors_{series}.csv | mean ε | {group}",
+        {
+            "published (Ar+LS)": "Ar+LS",
+            "friction fitted (Ar+Rg)": "Ar+Rg",
+            "trained network": "CSLC trained",
+            "identified (CSLC)": "CSLC",
+            "true": "true",
+        },
+        {"PUMA A": "a", "PUMA B": "b"},
+    ),
+}
+
+
+def drawn(chart: Chart) -> str:
+    """Return a chart as SVG."""
+    values = chart.values()
+    scale = (_WIDTH - _LEFT - 70) / max(max(row) for row in values)
+    parts = [_text(16, 24, chart.title, weight="600")]
+    left = _LEFT
+    for name, colour in zip(chart.series, _COLOURS, strict=False):
+        if len(chart.series) > 1:
+            parts.append(f'<rect x="{left}" y="38" width="11" height="11" fill="{colour}"/>')
+            parts.append(_text(left + 16, 48, name))
+            left += 30 + 7 * len(name)
+    top = _TOP
+    for label, row in zip(chart.groups, values, strict=True):
+        parts.append(_text(_LEFT - 10, top + _BAR * len(row) / 2 + 4, label, anchor="end"))
+        for value, colour in zip(row, _COLOURS, strict=False):
+            wide = max(1.0, scale * value)
+            parts.append(
+                f'<rect x="{_LEFT}" y="{top}" width="{wide:.1f}" height="{_BAR - 2}"'
+                f' fill="{colour}"/>'
+            )
+            parts.append(_text(_LEFT + wide + 6, top + _BAR - 3, f"{value:.3g}"))
+            top += _BAR
+        top += _GAP
+    words = "; ".join(
+        f"{label}: " + ", ".join(f"{value:.3g}" for value in row)
+        for label, row in zip(chart.groups, values, strict=True)
+    )
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {top}" width="{_WIDTH}"'
+        f' height="{top}" font-family="system-ui, sans-serif" font-size="12" role="img"'
+        f' aria-label="{html.escape(chart.title)}. {html.escape(words)}">\n'
+        f'<rect width="{_WIDTH}" height="{top}" rx="8" fill="#ffffff"/>\n'
+        + "\n".join(parts)
+        + "\n</svg>\n"
+    )
+
+
+def _text(x: float, y: float, text: str, *, anchor: str = "start", weight: str = "400") -> str:
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" fill="#1f2933" text-anchor="{anchor}"'
+        f' font-weight="{weight}">{html.escape(text)}</text>'
+    )
+
+
+def main() -> None:
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    for name, chart in CHARTS.items():
+        (FOLDER / f"{name}.svg").write_text(drawn(chart), encoding="utf-8")
+    print(f"wrote {len(CHARTS)} charts into {FOLDER}")
+
+
+if __name__ == "__main__":
+    main()

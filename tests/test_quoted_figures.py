@@ -1,0 +1,234 @@
+"""Figures that the README and guides quote are those that studies have stored.
+
+A quote is a phrase of a page, with `{}` for each number, and for each the stored figure that it
+rounds (`scripts/tools/stored_figures.py`). What a page says in words is a claim: the figures, and
+what must hold of them.
+"""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from scripts.tools.stored_figures import stored
+
+
+ROOT = Path(__file__).parents[1]
+
+
+@dataclass(frozen=True)
+class Quote:
+    """Numbers of a page, each with the reference of the figure that it rounds."""
+
+    page: str
+    phrase: str
+    figures: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What a page says in words or in rounded numbers, and what stored figures it rests on.
+
+    - `holds`: whether it is right, of the figures of each reference.
+    """
+
+    page: str
+    phrase: str
+    figures: tuple[str, ...]
+    holds: Callable[..., bool]
+
+
+def real_robots(table: str, *rows: str) -> tuple[str, ...]:
+    return tuple(f"real_robots.md # {table} | {row} | mean" for row in rows)
+
+
+_SHOWN = ("usual pipeline, 20 Hz, WLS", "auto", "auto, friction auto")
+QUOTES = (
+    Quote(
+        "README.md",
+        "| KUKA KR300, motion B | {} | {} | {} |",
+        real_robots("KUKA KR300 | B", *_SHOWN),
+    ),
+    Quote(
+        "README.md",
+        "| KUKA KR300, motion C | {} | {} | {} |",
+        real_robots("KUKA KR300 | C", *_SHOWN),
+    ),
+    Quote(
+        "README.md",
+        "| Franka Panda, last third | {} | {} | {} |",
+        real_robots("Franka Panda | last third", *_SHOWN),
+    ),
+    Quote(
+        "README.md",
+        "| Stäubli TX40, last third | {} | {} | {} |",
+        real_robots("Stäubli TX40 | last third", *_SHOWN),
+    ),
+    Quote(
+        "docs/scale.md",
+        "agree with those of QR to {} of a standard error for well-conditioned motion",
+        (
+            "scale_evidence.md # How pieces are factorised | motion | a hundredth of it"
+            " | difference",
+        ),
+    ),
+    Quote(
+        "docs/recordings.md",
+        "600,000 samples of a geared 7-joint arm take {} to {} s and {} to {} GB",
+        (
+            "benchmark identify.600000_samples : min",
+            "benchmark identify.600000_samples : max",
+            "benchmark identify.600000_samples.peak_memory : min",
+            "benchmark identify.600000_samples.peak_memory : max",
+        ),
+    ),
+    Quote(
+        "docs/likelihood_evidence.md",
+        "takes {} s on two quiet cores in a later run, {} s of processor time",
+        (
+            "benchmark likelihood.3300_samples.later_run : min",
+            "benchmark likelihood.3300_samples.later_run.processor : min",
+        ),
+    ),
+    Quote(
+        "docs/likelihood_evidence.md",
+        "60,000 samples take {} s and {} GB",
+        (
+            "benchmark likelihood.60000_samples : min",
+            "benchmark likelihood.60000_samples.peak_memory : min",
+        ),
+    ),
+    Quote(
+        "docs/scale_evidence.md",
+        "`identify` of 3,300 samples takes {} to {} s of processor time in a later run",
+        (
+            "benchmark identify.puma560.later_run.processor : min",
+            "benchmark identify.puma560.later_run.processor : max",
+        ),
+    ),
+    Quote(
+        "docs/scale_evidence.md",
+        "Two cores stream {} to {} million.",
+        ("benchmark stream.rate : min", "benchmark stream.rate : max"),
+    ),
+    Quote(
+        "docs/estimators.md",
+        "contain the truth in {} % of cases, and in {} % with systematic errors",
+        tuple(
+            f"estimators.md # Comparison | all disturbances of the thesis | {row}"
+            " | 95 % intervals that hold"
+            for row in ("least squares", "least squares, with systematic errors")
+        ),
+    ),
+)
+
+_SECONDS = "real_robots.md # {} | {} | processor [s]"
+CLAIMS = (
+    Claim(
+        "README.md",
+        "A report of 3,300 samples takes about 2 s on two cores",
+        ("benchmark identify.puma560.later_run",),
+        lambda seconds: all(round(value) == 2 for value in seconds),
+    ),
+    Claim(
+        "README.md",
+        "On the TX40 it is ahead",
+        real_robots("Stäubli TX40 | last third", *_SHOWN),
+        lambda usual, auto, friction: usual < min(auto, friction),
+    ),
+    Claim(
+        "docs/likelihood.md",
+        "It takes about ten times as long as least squares",
+        tuple(
+            _SECONDS.format(arm, row)
+            for arm in ("KUKA KR300 | B", "Franka Panda | last third", "Stäubli TX40 | last third")
+            for row in ("maximum-likelihood", "least-squares")
+        ),
+        lambda *seconds: all(
+            8 < a / b < 13 for (a,), (b,) in zip(seconds[::2], seconds[1::2], strict=True)
+        ),
+    ),
+    Claim(
+        "docs/control.md",
+        "takes about 0.1 ms in Python, and less than 1 µs in exported C",
+        tuple(
+            f"control_evidence.md # Computation time |  | {row} | {arm}"
+            for row in (
+                "computed torque with velocity estimation, compiled Python",
+                "computed torque in exported C (`jc.c_code`)",
+            )
+            for arm in ("PUMA 560", "Panda")
+        ),
+        lambda *times: (
+            all(90 < time < 150 for (time,) in times[:2]) and all(time < 1 for (time,) in times[2:])
+        ),
+    ),
+    Claim(
+        "docs/estimators.md",
+        "instruments have 22 times less error than least squares",
+        tuple(
+            "estimators.md # Without a choice of smoothing | Gaussian noise: 1e-4 rad, 1 % of"
+            f" torques | {row} | ε [N m]"
+            for row in ("least squares", "instruments, known controller")
+        ),
+        lambda least, instruments: round(least[0] / instruments[0]) == 22,
+    ),
+    Claim(
+        "docs/benchmarks.md",
+        "two to seven times as fast as Pinocchio computes its regressor in C++",
+        ("benchmark puma560.ratio", "benchmark panda.ratio"),
+        lambda *ratios: all(2 < one < 7.5 for arm in ratios for one in arm),
+    ),
+    Claim(
+        "docs/generalisation.md",
+        "more than fifty times that of the CSLC",
+        tuple(
+            f"generalisation.md # Results |  | tanh {nodes} | over the CSLC's"
+            for nodes in (4, 8, 16)
+        ),
+        lambda *ratios: all(ratio[0] > 50 for ratio in ratios),
+    ),
+)
+
+
+def words(page: str) -> str:
+    """Text of a page without line breaks and bold type."""
+    return re.sub(r"\s+", " ", (ROOT / page).read_text("utf-8").replace("**", ""))
+
+
+def figures_of(reference: str) -> list[float]:
+    """Stored figures; of several machines those that `: min` or `: max` name."""
+    name, _, which = reference.partition(" : ")
+    values = stored(name)
+    return [{"min": min, "max": max}[which](values)] if which else values
+
+
+def rounded_alike(text: str, value: float) -> bool:
+    """Whether a number is a stored one, rounded to the digits that it has."""
+    mantissa, _, exponent = text.partition("e")
+    digit = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+    return abs(float(text) - value) <= 0.5001 * digit
+
+
+@pytest.mark.parametrize("quote", QUOTES, ids=lambda quote: f"{quote.page} {quote.phrase[:30]}")
+def test_quoted_numbers_are_the_stored_ones(quote: Quote) -> None:
+    pattern = re.escape(quote.phrase).replace(r"\{\}", r"(\d[\d.]*(?:e-?\d+)?)")
+    match = re.search(pattern, words(quote.page))
+    assert match is not None, f"{quote.page} does not say: {quote.phrase}"
+    for text, reference in zip(match.groups(), quote.figures, strict=True):
+        (value,) = figures_of(reference)
+        assert rounded_alike(text, value), f"{quote.page}: {text}, stored {value} ({reference})"
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: f"{claim.page} {claim.phrase[:30]}")
+def test_claims_hold_of_stored_figures(claim: Claim) -> None:
+    assert claim.phrase in words(claim.page)
+    values = [figures_of(reference) for reference in claim.figures]
+    assert claim.holds(*values), f"{claim.page}: {claim.phrase}, stored {values}"
+
+
+def test_a_wrong_digit_is_noticed() -> None:
+    assert rounded_alike("21.9", 21.86) and not rounded_alike("21.9", 21.99)
+    assert rounded_alike("4e-10", 4.2e-10) and not rounded_alike("4e-10", 5.1e-10)
