@@ -71,8 +71,8 @@ class OwnArm:
             return None
         identified, file = self.replay
         return (
-            f"replay: driven by recorded torques alone for {_REPLAYED:g} s, the identified arm's"
-            f" hand is {1e3 * identified:.1f} mm off, that of the robot file {1e3 * file:.0f} mm"
+            f"replay of {_REPLAYED:g} s by recorded torques: the hand is {1e3 * identified:.1f} mm"
+            f" off, with the values of the robot file {1e3 * file:.0f} mm"
         )
 
 
@@ -133,15 +133,15 @@ def own_arm_sections(arm: OwnArm) -> list[Section]:
 
 def _friction_table(arm: OwnArm) -> Table:
     """Identified and true friction of each joint; the truth is known because it was simulated."""
-    rows = {row["name"]: row for row in arm.report.rows()}
+    rows = dict(zip(arm.report.names, arm.report.rows(), strict=True))
     truth = dict(zip(arm.report.names, arm.truth, strict=True))
 
     def column(stem: str, entry: str) -> Iterator[str]:
-        for joint in range(1, 8):
-            row = rows[f"{stem}{joint}"]
+        for name in (f"{stem}{joint}" for joint in range(1, 8)):
+            row = rows[name]
             half = 0.5 * (float(row["high"]) - float(row["low"]))
             value = float(row["value"])
-            yield f"{value:.3f} ± {half:.3f}" if entry == "value" else f"{truth[row['name']]:.3f}"
+            yield f"{value:.3f} ± {half:.3f}" if entry == "value" else f"{truth[name]:.3f}"
 
     return Table.from_columns(
         (

@@ -170,7 +170,8 @@ def front_page(
             Link(EXPERIMENT, "All tables and figures of the experiment"),
         ],
     )
-    worst: Tone = max(tone, tool.tone, key=("plain", "good", "caution", "bad").index)
+    tones: tuple[Tone, ...] = ("bad", "caution", "good", "plain")
+    worst = next(one for one in tones if one in (tone, tool.tone))
     page = Page(
         title="Identification of robot arms with jaxcslc",
         subtitle="An arm from its files, and the experiment of the thesis on two simulated arms",
