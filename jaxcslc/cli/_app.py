@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "start": {
         "example": ("_example", "Write a robot file and two logs to try the commands on."),
+        "init": ("_init", "Write jaxcslc.toml, which holds the options of a robot."),
         "check": ("_check", "Check recordings for wrong units, signs, times and samples."),
     },
     "identify": {

@@ -18,6 +18,7 @@ from ..manipulator import (
 )
 from ..network import CSLC, derive
 from ..recordings import (
+    ColumnMapping,
     Recording,
     fresh_rows,
     load_recording,
@@ -284,6 +285,13 @@ class RecordingOptions:
         recording = recording_of(path, robot, self.columns)
         if torque is not None:
             recording = dataclasses.replace(recording, torque_measured=torque == "measured")
+        return self.treated(recording, path)
+
+    def treated(self, recording: Recording, path: Path) -> Recording:
+        """Return a recording as the options change it.
+
+        **Raises** `ValueError`, which names the file, for options that leave too little of it.
+        """
         for name, change in self._changes().items():
             try:
                 recording = change(recording)
@@ -348,7 +356,7 @@ def is_system(name: str) -> bool:
         return False  # whoever reads it as a robot says what is wrong
 
 
-def recording_of(path: Path, robot: Manipulator, columns: Path | None) -> Recording:
+def recording_of(path: Path, robot: Manipulator, columns: Path | ColumnMapping | None) -> Recording:
     """A recording of a robot, its joints in the robot's order."""
     names = [robot.joint_names[joint] for joint in robot.independent_joints]
     fixed = () if robot.source is None else robot.source.fixed_joints

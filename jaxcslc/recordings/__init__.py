@@ -86,6 +86,8 @@ from ._splines import (
 from .files import (
     ColumnMapping as ColumnMapping,
     RecordingChunk as RecordingChunk,
+    column_names_of as column_names_of,
+    guessed_mapping as guessed_mapping,
     iterate_recording as iterate_recording,
     load_columns as load_columns,
     load_recording as load_recording,

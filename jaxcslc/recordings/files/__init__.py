@@ -8,12 +8,14 @@
 - `_tables`, `_bag`: the type of a file, its columns in SI units, and checks.
 - `_layout`: which columns are a recording's, and units.
 - `_layouts`: formats that are recognised by their column names.
-- `_column_mapping`: a user's own mapping of columns.
+- `_column_mapping`: a user's own mapping of columns; `_guess`: one for unknown formats.
 """
 
 from ._column_mapping import ColumnMapping as ColumnMapping
+from ._guess import guessed_mapping as guessed_mapping
 from ._recording_files import (
     RecordingChunk as RecordingChunk,
+    column_names_of as column_names_of,
     iterate_recording as iterate_recording,
     load_columns as load_columns,
     load_recording as load_recording,

@@ -273,6 +273,28 @@ def iterate_recording(
     return chunks()
 
 
+def column_names_of(path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Return the names of the columns that a file of samples has.
+
+    **Raises** `RecordingError`: a file that cannot be opened, or a name that occurs twice.
+
+    >>> import pathlib, tempfile
+    >>> from jaxcslc.recordings import column_names_of
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "arm.csv"
+    ...     _ = path.write_text("stamp,axis1_deg\\n0,0\\n")
+    ...     column_names_of(path)
+    ('stamp', 'axis1_deg')
+    """
+    from ._tables import open_table
+
+    def layout_of(file: str, header: Header) -> ColumnLayout:
+        first, *others = map(LayoutColumn, header.names)
+        return ColumnLayout(first, {"others": tuple(others)})
+
+    return tuple(open_table(Path(path), layout_of)[0].names)
+
+
 def load_columns(
     path: str | os.PathLike[str], names: Sequence[str] | None = None
 ) -> dict[str, Float[np.ndarray, " samples"]]:
