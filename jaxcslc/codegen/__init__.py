@@ -34,7 +34,12 @@ from ._c_text import (
     is_identifier as is_identifier,
 )
 from ._compilation import by_platform as by_platform, in_blocks as in_blocks
-from ._cuda import Kernel as Kernel, assembly as assembly, kernels_run as kernels_run
+from ._cuda import (
+    Kernel as Kernel,
+    assembly as assembly,
+    kernels_run as kernels_run,
+    multiprocessors as multiprocessors,
+)
 from ._expressions import (
     Expressions as Expressions,
     Motion as Motion,

@@ -14,6 +14,17 @@ import numpy as np
 from jaxtyping import Array
 
 
+# Of an H100, where the device does not say how many it has.
+_MULTIPROCESSORS = 132
+# Those with matrix units for float64.
+_LEAST_CAPABILITY = 8.0
+
+
+def multiprocessors() -> int:
+    """Number of multiprocessors of JAX's default device."""
+    return int(getattr(jax.devices()[0], "core_count", _MULTIPROCESSORS))
+
+
 @dataclass(frozen=True)
 class Kernel:
     """A function for an NVIDIA GPU: CUDA C, how it is launched, and what it writes.
@@ -123,7 +134,7 @@ def kernels_run() -> bool:
     """
     device = jax.devices()[0]
     capability = getattr(device, "compute_capability", None)
-    if device.platform != "gpu" or capability is None or float(capability) < 8.0:
+    if device.platform != "gpu" or capability is None or float(capability) < _LEAST_CAPABILITY:
         return False
     try:
         with jax.ensure_compile_time_eval():

@@ -16,6 +16,8 @@ from ..manipulator import LinkParameters
 from .terms import LOAD, AbstractInputTerm, AbstractManipulatorTerm, AbstractTerm
 
 
+# Known numbers that differ by rounding only: relative, and of those that are 0 [kg or m].
+_ALIKE, _NOTHING = 1e-9, 1e-12
 _AXES = {"x": 0, "y": 1, "z": 2}
 
 
@@ -63,7 +65,7 @@ def _check_known(algebra: Algebra, links: Sequence[LinkParameters]) -> None:
         for name, (value, known) in zip(("mass", "centre of gravity"), pairs, strict=True):
             if known is None or isinstance(value, Tracer):
                 continue
-            if not np.allclose(value, known, rtol=1e-9, atol=1e-12):
+            if not np.allclose(value, known, rtol=_ALIKE, atol=_NOTHING):
                 raise ValueError(
                     f"links: link {number} has {name} {np.asarray(value).tolist()}; the network has"
                     f" the known number {np.asarray(known).tolist()}"

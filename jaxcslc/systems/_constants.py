@@ -24,6 +24,16 @@ Verdict = Literal["alone", "only in combinations", "not at all"]
 _COMPLEX_STEP = 1e-30
 # The search for constants ends when a step changes them by less than this part.
 _PRECISION = 1e-12
+# The searches start from constants of these sizes, in their units.
+_SIZES = (1.0, 0.1, 10.0)
+# Coefficients that were met exactly count as if their relative error were this.
+_LEAST_ERROR = 1e-9
+# How far constants may miss coefficients: standard errors, and of exact ones a part of themselves.
+_MISSED_ERRORS, _MISSED_PART = 10.0, 1e-3
+# Random values of constants, but for their signs, and of the motion in SI units.
+_CONSTANTS, _STATES = (0.5, 1.5), (-2.0, 2.0)
+# Of a complex number: a smaller imaginary part is rounding.
+_REAL = 1e-12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,7 +75,7 @@ def determine_identifiability(separation: "Separation") -> tuple[ConstantIdentif
     """
     symbols, draw = separation.symbols, np.random.default_rng(0)
     signs = [-1 if symbol.is_negative else 1 for symbol in symbols.values()]
-    point = np.array([draw.uniform(0.5, 1.5) * sign for sign in signs])
+    point = np.array([draw.uniform(*_CONSTANTS) * sign for sign in signs])
     gradient = _gradient(separation, point)
     rank = numerical_rank(gradient.T)
     rows: list[ConstantIdentifiability] = []
@@ -109,14 +119,14 @@ def independent(system: "System", regressor: Sequence[Sequence[Any]]) -> bool:
     }
     expressions = [[x.subs(searched) for x in row] for row in regressor]
     function = lambdify(arguments, expressions, modules="numpy", cse=True)
-    states = draw.uniform(-2.0, 2.0, (len(arguments), 20 + 4 * size))
+    states = draw.uniform(*_STATES, (len(arguments), 20 + 4 * size))
     with np.errstate(all="ignore"):
         values = function(*states.astype(complex))
     count = states.shape[1]
     columns = [[np.broadcast_to(x, count) for x in row] for row in values]
     rows = np.moveaxis(np.array(columns, complex), 1, -1).reshape(-1, size)
     finite = np.all(np.isfinite(rows), axis=1)
-    real = np.all(np.abs(np.imag(rows)) <= 1e-12 * np.abs(rows), axis=1)
+    real = np.all(np.abs(np.imag(rows)) <= _REAL * np.abs(rows), axis=1)
     return numerical_rank(np.real(rows[finite & real])) == size
 
 
@@ -177,8 +187,8 @@ def constants_from(system: "System", fit: Identification) -> tuple[ConstantEstim
     negative = np.array([bool(symbol.is_negative) for symbol in symbols])
     positive = np.array([bool(symbol.is_positive) for symbol in symbols])
     k, error = np.asarray(fit.k), np.asarray(fit.standard_error)
-    # Coefficients that were met exactly count like the others, by their size.
-    weight = 1.0 / np.maximum(error, 1e-9 * np.maximum(np.abs(k), np.max(np.abs(k)) * 1e-9))
+    size = np.maximum(np.abs(k), np.max(np.abs(k)) * _LEAST_ERROR)
+    weight = 1.0 / np.maximum(error, _LEAST_ERROR * size)
     searches = (
         least_squares(
             lambda values: weight * (np.real(separation.evaluate(values)) - k),
@@ -190,12 +200,11 @@ def constants_from(system: "System", fit: Identification) -> tuple[ConstantEstim
             ftol=_PRECISION,
             gtol=_PRECISION,
         )
-        for size in (1.0, 0.1, 10.0)
+        for size in _SIZES
     )
     best = min(searches, key=lambda search: search.cost)
-    # Of exact coefficients a thousandth must be met: of others, what their errors explain.
     misfit = np.abs(np.real(separation.evaluate(best.x)) - k)
-    if np.any(misfit > np.maximum(10.0 * error, 1e-3 * np.abs(k))):
+    if np.any(misfit > np.maximum(_MISSED_ERRORS * error, _MISSED_PART * np.abs(k))):
         return ()
     inverse = pseudo_inverse(weight[:, None] * _gradient(separation, best.x)) * weight[None, :]
     covariance = inverse @ np.asarray(fit.covariance) @ inverse.T

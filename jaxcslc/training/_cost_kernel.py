@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..codegen import Kernel, kernels_run
+from ..codegen import Kernel, kernels_run, multiprocessors
 from ._functions import LINEAR_COMBINER, Cost, ErrorSum, error_sum
 from ._network import AdaptiveNetwork
 
@@ -19,6 +19,8 @@ from ._network import AdaptiveNetwork
 # Warps of a block, each with a training; of 168 registers a thread, three blocks fit on a
 # multiprocessor.
 _WARPS, _RESIDENT = 4, 3
+# Blocks for each that runs at a time: the last ones end together.
+_WAVES = 4
 _LANES = 32
 # Bytes of shared memory that every block gets, and statements that compile in seconds.
 _SHARED = 48_000
@@ -97,8 +99,7 @@ class CostKernel:
             arrays += [change.reshape(trainings, -1), trials.reshape(trainings, -1)]
         numbers = jnp.concatenate(arrays, axis=1)[:, np.array(self._own(weights.shape[1]), int)]
         groups = -(-trainings // (_WARPS * self.together))
-        multiprocessors = int(getattr(jax.devices()[0], "core_count", 132))
-        pieces = min(max(4 * _RESIDENT * multiprocessors // groups, 1), tiles)
+        pieces = min(max(_WAVES * _RESIDENT * multiprocessors() // groups, 1), tiles)
         sizes = jnp.array([trainings, tiles, pieces, groups])
         shape = jax.ShapeDtypeStruct((pieces, self.costs, trainings), jnp.float64)
         kernel = Kernel("costs", self.source, _WARPS * _LANES)
@@ -151,7 +152,7 @@ class CostKernel:
         targets, shares = len(entries), len(entries) + len(outputs)
         parts = sorted({(g, o) for o, weight in entries for g in self._movers(weight)})
         lines = [
-            f"real e{u}_{o} = row[{32 * (targets + o)}];"
+            f"real e{u}_{o} = row[{_LANES * (targets + o)}];"
             for o in outputs
             for u in range(self.together)
         ]
@@ -168,11 +169,11 @@ class CostKernel:
             offset += 1 + len(movers)
             for o in (o for o in outputs if (o, weight) in row_of):
                 a = f"a{o}_{weight}"
-                lines.append(f"const real {a} = row[{32 * row_of[o, weight]}];")
+                lines.append(f"const real {a} = row[{_LANES * row_of[o, weight]}];")
                 for u in range(self.together):
                     lines.append(f"e{u}_{o} -= {a} * w{u}_{weight};")
                     lines += [f"p{u}_{g}_{o} += {a} * c{u}_{g}_{weight};" for g in movers]
-        lines += [f"const real s{o} = row[{32 * (shares + o)}];" for o in outputs]
+        lines += [f"const real s{o} = row[{_LANES * (shares + o)}];" for o in outputs]
         groups = range(len(self.moved)) if self.trials else range(0)
         for cost in range(self.costs):
             for u in range(self.together):

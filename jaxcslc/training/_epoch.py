@@ -293,7 +293,9 @@ def _assessed(
     if stop_set:
         outcome = OUTCOMES.where(since_stop >= plan.stop_patience, OUTCOMES.stop_set, outcome)
     outcome = OUTCOMES.where(measure <= plan.target, OUTCOMES.reached, outcome)
-    beyond = ~jnp.isfinite(cost) | (cost > plan.divergence * jnp.maximum(first_cost, 1e-300))
+    beyond = ~jnp.isfinite(cost) | (
+        cost > plan.divergence * jnp.maximum(first_cost, jnp.finfo(float).tiny)
+    )
     outcome = OUTCOMES.where(beyond, OUTCOMES.diverged, outcome)
     return TrainingState(
         weights=jnp.where(takes_over, lowest_weights, state.weights),

@@ -16,7 +16,7 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float
 
-from ..codegen import Kernel, kernels_run
+from ..codegen import Kernel, kernels_run, multiprocessors
 from ._kernel_statements import KernelStage, RuleStatements, rule_statements
 from ._network import AdaptiveNetwork, Signals
 from ._rules import AbstractRule, Counts, Numbers, Weights
@@ -82,7 +82,7 @@ def rule_kernel(
     if not kernels_run():
         return None
     statements = rule_statements(network, rule, learning, by_subnetwork=by_subnetwork)
-    return statements if statements is not None and launch_layout(statements, 2**20) else None
+    return statements if statements is not None and launch_layout(statements, _THREADS) else None
 
 
 def summed_change(
@@ -123,8 +123,9 @@ def batched_changes(
     assert launch is not None, "checked by `rule_kernel`"
     trainings, patterns = len(weights), targets.shape[-1]
     groups = -(-trainings // launch.threads)
-    multiprocessors = int(getattr(jax.devices()[0], "core_count", 132))
-    pieces = max(min(multiprocessors * launch.resident // groups, patterns // _FEWEST_PATTERNS), 1)
+    pieces = max(
+        min(multiprocessors() * launch.resident // groups, patterns // _FEWEST_PATTERNS), 1
+    )
     length = -(-patterns // pieces)
     pieces = -(-patterns // length)
     sizes = jnp.array([trainings, patterns, length, groups])
@@ -153,9 +154,10 @@ def _rows(
     return rows
 
 
-# Threads of a multiprocessor with 255 registers each, and its shared memory [bytes].
-_THREADS = 256
-_SHARED = 227 * 1024
+# Threads of a multiprocessor with 255 registers each, and those that run in step.
+_THREADS, _WARP = 256, 32
+# Shared memory of a multiprocessor, and what the system takes of it for a block [bytes].
+_SHARED, _OF_SYSTEM = 227 * 1024, 1024
 _MOST_PATTERNS = 8
 
 
@@ -185,12 +187,13 @@ class Launch:
 
 def launch_layout(statements: RuleStatements, trainings: int) -> Launch | None:
     """The layout for so many trainings; None where a multiprocessor's memory is too small."""
-    threads = min(_THREADS, 32 * -(-trainings // 32))
+    threads = min(_THREADS, _WARP * -(-trainings // _WARP))
     resident = _THREADS // threads
     handed = len(statements.stages[-1].handed_in)
     of_pattern = 8 * (2 * row_length(statements) + handed * threads)
-    # The system takes 1 kB of a block.
-    while resident and (chunk := min((_SHARED // resident - 1024) // of_pattern, _MOST_PATTERNS)):
+    while resident and (
+        chunk := min((_SHARED // resident - _OF_SYSTEM) // of_pattern, _MOST_PATTERNS)
+    ):
         if chunk > 1 or resident == 1:
             return Launch(threads, resident, chunk, chunk * of_pattern)
         resident -= 1
@@ -286,7 +289,7 @@ asm volatile("" ::: "memory");
 }}"""
 
 
-ROW_THREADS = 32
+ROW_THREADS = _WARP
 _ROWS = """typedef double real;
 
 extern "C" __global__ void __launch_bounds__({threads}) rows(

@@ -18,6 +18,9 @@ from ._functions import HARD_LIMITER
 from ._network import AdaptiveNetwork, Layer, Links, Passage, Signals
 
 
+# An input with a larger entry of a unit vector is part of the dependence that it describes.
+_INVOLVED = 1e-9
+
 Weights = Float[Array, " weights"]
 Numbers = Float[Array, "outputs patterns"]
 #: One where a pair of output and pattern takes part in learning, zero where it is masked: for all
@@ -472,7 +475,7 @@ of inputs 1, 2 are not independent (thesis 6.1); record patterns that differ in 
     rank = numerical_rank(signs)
     if rank < signs.shape[1]:
         _, _, right = np.linalg.svd(signs, full_matrices=True)
-        involved = np.flatnonzero(np.abs(right[rank:]).max(axis=0) > 1e-9) + 1
+        involved = np.flatnonzero(np.abs(right[rank:]).max(axis=0) > _INVOLVED) + 1
         raise ValueError(
             f"input signs have rank {rank}, expected {signs.shape[1]}, one a weight: over all"
             f" patterns, the signs of inputs {', '.join(map(str, involved))} are not independent"

@@ -112,6 +112,10 @@ def _without_addresses(text: str) -> str:
 
 # Where kernels compute changes and costs, and nothing of a pattern is in memory for a training.
 _ALL_BY_KERNELS = 65_536
+# On normal equations, and on a processor, where trainings stay near its caches.
+_MOST_OF_EQUATIONS, _MOST_ON_HOST = 256, 8
+# What trainings may take of a GPU's memory [bytes].
+_GPU_MEMORY = 4e9
 
 
 def train(
@@ -361,9 +365,9 @@ def _largest_block(
 ) -> int:
     """Return the most trainings to run side by side; on a CPU, those that stay near its caches."""
     if isinstance(training_set, NormalEquations):
-        return 256
+        return _MOST_OF_EQUATIONS
     if platform_of(training_set.targets) == "cpu":
-        return 8
+        return _MOST_ON_HOST
     learning, layers = plan.learning(network), len(network.adaptive_layers)
     by_kernel = training_set.condensed is not None and training_set.trainings is None
     rules, costs = plan.schedule.rules, {plan.cost, plan.measure or plan.cost}
@@ -375,13 +379,12 @@ def _largest_block(
     in_batches = by_kernel and plan.schedule.switch is None and plan.order == "batch"
     if in_batches and all(training_set.has_cost_kernel(network, cost) for cost in costs):
         return _ALL_BY_KERNELS
-    # A GPU's memory: 4 GB for the values of every node at every pattern, of which an epoch keeps
-    # some ten at a time; with a kernel, for outputs, their parts by layer, and errors at trial
-    # rates, all at a time.
+    # The values of every node at every pattern, of which an epoch keeps some ten at a time; with a
+    # kernel, outputs, their parts by layer, and errors at trial rates, all at a time.
     numbers = 10 * sum(layer.links.nodes for _, layer in network.adaptive_layers)
     if by_kernel:
         numbers = network.outputs_count * (2 + layers) + 4 * layers
-    return max(1, int(4e9 / (8 * max(numbers, 1) * training_set.targets.shape[-1])))
+    return max(1, int(_GPU_MEMORY / (8 * max(numbers, 1) * training_set.targets.shape[-1])))
 
 
 def _training(
