@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from ._examples import Examples, NormalEquations
+from ._examples import Examples
 from ._network import AdaptiveNetwork
 from ._plan import Plan, Turn, promise
 from ._rules import AbstractRule
@@ -185,7 +185,7 @@ class Record(eqx.Module):
 def epoch(
     network: AdaptiveNetwork,
     plan: Plan,
-    training_set: Examples | NormalEquations,
+    training_set: Examples,
     stop_set: Examples | None,
     state: TrainingState,
     keep_weights: bool,
@@ -232,14 +232,13 @@ _Preference = tuple[Int[Array, ""], Float[Array, "rules groups"]]
 def _preference(
     network: AdaptiveNetwork,
     plan: Plan,
-    training_set: Examples | NormalEquations,
+    training_set: Examples,
     state: TrainingState,
 ) -> _Preference:
     """The rule that the schedule's switch prefers, and rates for it; without one, the present."""
     switch, present = plan.schedule.switch, (state.turn.rule, state.rates)
     if switch is None:
         return present
-    assert isinstance(training_set, Examples), "checked by `train`"
 
     def look() -> _Preference:
         gains, best = promise(network, plan, training_set, state.weights, state.rates)
@@ -318,7 +317,7 @@ def _assessed(
 def _learnt(
     network: AdaptiveNetwork,
     plan: Plan,
-    training_set: Examples | NormalEquations,
+    training_set: Examples,
     state: TrainingState,
     commanded_rule: int | None,
 ) -> tuple[Float[Array, " weights"], Float[Array, " groups"]]:
@@ -337,17 +336,15 @@ def _learnt(
             def costs_after(trials: Array) -> Array:
                 return training_set.trial_costs(network, weights, change, trials, plan.cost)
         else:
-            patterns = training_set
-            assert isinstance(patterns, Examples), patterns.check_rule(rule, plan.cost, plan.order)
             key = jax.random.fold_in(state.key, state.epoch)
-            sequence = jax.random.permutation(key, patterns.targets.shape[-1])
+            sequence = jax.random.permutation(key, training_set.targets.shape[-1])
 
             def after(trial: Array) -> Array:
-                return _one_by_one(network, rule, patterns, weights, trial, sequence, learning)
+                return _one_by_one(network, rule, training_set, weights, trial, sequence, learning)
 
             def costs_after(trials: Array) -> Array:
                 candidates = jax.vmap(after)(trials)
-                return jax.vmap(lambda w: patterns.costs(network, w, plan.cost)[0])(candidates)
+                return jax.vmap(lambda w: training_set.costs(network, w, plan.cost)[0])(candidates)
 
         at, moves = plan.rule_rates[number].choose(rates, state.cost, costs_after)
         return jnp.where(moves, after(at), weights), at

@@ -1,7 +1,7 @@
 """Patterns ready for training: preprocessed inputs, targets, and the pairs that count.
 
-`Examples` computes costs and changes of the weights. `NormalEquations` replaces it for
-backpropagation of linear networks.
+`Examples` computes costs and changes of the weights; for backpropagation of linear networks, by
+their `NormalEquations`.
 """
 
 from collections.abc import Sequence
@@ -73,6 +73,91 @@ def _covered_back(
     return total
 
 
+class NormalEquations(eqx.Module):
+    """Normal equations of patterns: all that full-batch backpropagation of a linear network needs.
+
+    Outputs that are linear in the weights have a quadratic cost, Eqn. 3.4-2's half sum of
+    squares: its Gram matrix says what any number of patterns would, so that an epoch costs p²
+    operations and not a pass over them: see `with_normal_equations`.
+
+    **Attributes**
+
+    - `gram`: (p, p), the mean over patterns of regressor' regressor.
+    - `moment`: (p,), the mean of regressor' target.
+    - `square`: mean over patterns of the summed squared targets.
+    - `layered_gram`: (groups, p, p), parts of `gram` by the adaptive layer that the left factor
+      belongs to.
+    - `layered_moment`: (groups, p), parts of `moment` by layer.
+
+    Where subnetworks learn from pairs of their own, `gram`, `moment` and `square` are of all pairs
+    that count for any, as costs are. A layer's parts are of its own pairs. The sum of
+    `layered_gram` is then not `gram`, and not symmetric.
+    """
+
+    gram: Float[Array, "*sets weights weights"]
+    moment: Float[Array, "*sets weights"]
+    square: Float[Array, "*sets"]
+    layered_gram: Float[Array, "*sets groups weights weights"]
+    layered_moment: Float[Array, "*sets groups weights"]
+
+    def cost(self, weights: Float[Array, " weights"]) -> Float[Array, ""]:
+        """Half the mean of the summed squared errors (Eqn. 3.4-2).
+
+        A difference of large numbers where it is small: of a cost below a millionth of a
+        millionth of that of zero weights nothing is left but rounding, and it may be negative.
+        """
+        square = weights @ (self.gram @ weights) - 2.0 * (self.moment @ weights) + self.square
+        return 0.5 * square
+
+    def change(
+        self,
+        network: AdaptiveNetwork,
+        weights: Float[Array, " weights"],
+        learning: tuple[bool, ...],
+    ) -> Float[Array, "groups weights"]:
+        """A batch's move at a rate of one, as `Backpropagation` finds it on the patterns."""
+        layers = [layer.links for _, layer in network.adaptive_layers]
+        shares = jnp.asarray(1.0 / links_per_weight(layers, network.size, learning))
+        gradient = self.layered_moment - self.layered_gram @ weights
+        takes_part = jnp.asarray(learning, gradient.dtype)
+        return gradient * shares[None, :] * takes_part[:, None]
+
+    def solution(self) -> Float[Array, "*sets weights"]:
+        """The weights at which backpropagation at one rate for all layers no longer moves, (p,).
+
+        They solve Z'(t - X k) = 0 over all pairs of output and pattern. X is the regressor. Z is X
+        with the columns of a subnetwork zero at pairs that it does not learn from. If all
+        subnetworks learn from the same pairs, this is the least-squares solution, of lowest cost.
+        Otherwise it is an instrumental-variable estimate with the instruments Z: its cost may be
+        above the lowest. It helps where what the network lacks correlates with the columns that Z
+        has zero, and with no others, as static friction does with viscous and Coulomb friction
+        (7.2.2). The other columns then keep the pairs, which a mask of all subnetworks would lose.
+
+        Of weights that the patterns leave open, the smallest in proportion to their regressors.
+        Can be jitted, and mapped over sets of patterns.
+
+        >>> import numpy as np
+        >>> from jaxcslc.training import fully_connected
+        >>> from jaxcslc.training import examples, normal_equations
+        >>> network = fully_connected([1, 1], "linear combiner")
+        >>> line = examples(network, np.array([[0.0], [1.0]]), np.array([[1.0], [3.0]]))
+        >>> normal_equations(network, line).solution().round(9).tolist()  # slope and bias
+        [2.0, 1.0]
+        """
+        matrix = jnp.sum(self.layered_gram, axis=-3)
+        moment = jnp.sum(self.layered_moment, axis=-2)
+        lengths = jnp.sqrt(jnp.diagonal(self.gram, axis1=-2, axis2=-1))
+        lengths = jnp.where(lengths > 0.0, lengths, 1.0)
+        scaled = matrix / (lengths[..., :, None] * lengths[..., None, :])
+
+        def solved(scaled: Array, moment: Array) -> Array:
+            return jnp.linalg.lstsq(scaled, moment)[0]
+
+        for _ in range(moment.ndim - 1):
+            solved = jax.vmap(solved)
+        return solved(scaled, moment / lengths) / lengths
+
+
 class Examples(eqx.Module):
     """Patterns ready to train a network with: preprocessed inputs, targets, and what counts.
 
@@ -98,7 +183,7 @@ class Examples(eqx.Module):
     counts: Float[Array, "outputs patterns"]
     condensed: tuple[Float[Array, "_ patterns"], ...] | None
     subnetwork_counts: Float[Array, "subnetworks outputs patterns"] | None = None
-    equations: Any = None
+    equations: NormalEquations | None = None
 
     @property
     def learning_counts(self) -> Counts:
@@ -120,11 +205,6 @@ class Examples(eqx.Module):
         """The numbers, to check their precision."""
         return (*self.signals.inputs, self.targets)
 
-    def check_rule(self, rule: AbstractRule, cost: Cost, order: str) -> str | None:
-        """Return why these patterns do not suit the training, in one line; None if they do."""
-        del rule, cost, order
-        return None
-
     def costs(
         self, network: AdaptiveNetwork, weights: Float[Array, " weights"], *costs: Cost
     ) -> tuple[Float[Array, ""], ...]:
@@ -137,7 +217,7 @@ class Examples(eqx.Module):
         self, network: AdaptiveNetwork, weights: Float[Array, " weights"], cost: Cost
     ) -> Float[Array, ""]:
         if self.equations is not None and cost is half_square:
-            return self.equations.costs(network, weights, cost)[0]
+            return self.equations.cost(weights)
         single, kernel = partial(_cost_after, network, cost), self._cost_kernel(network, cost, 0)
         if kernel is None:
             return single(weights, self)
@@ -157,7 +237,8 @@ class Examples(eqx.Module):
         layer's change at a time: five passes for the PUMA 560 and not sixteen.
         """
         if self.equations is not None and cost is half_square:
-            return self.equations.trial_costs(network, weights, change, trials, cost)
+            by_equations = self.equations.cost
+            return jax.vmap(lambda trial: by_equations(weights + trial @ change))(trials)
         if not network.linear:
             return jax.lax.map(
                 lambda trial: self.costs(network, weights + trial @ change, cost)[0], trials
@@ -203,7 +284,7 @@ class Examples(eqx.Module):
     ) -> Float[Array, "groups weights"]:
         """A batch's move at a rate of one: the mean over patterns."""
         if self.equations is not None and isinstance(rule, Backpropagation):
-            return self.equations.change(network, rule, weights, learning)
+            return self.equations.change(network, weights, learning)
         patterns = self.signals, self.targets, self.learning_counts
         return summed_change(network, rule, weights, *patterns, learning) / self.patterns
 
@@ -374,133 +455,6 @@ def _check(network: AdaptiveNetwork, training_set: Examples, named: Array) -> No
 _BLOCK = 4096
 
 
-class NormalEquations(eqx.Module):
-    """Normal equations of patterns: all that full-batch backpropagation of a linear network needs.
-
-    Outputs that are linear in the weights have a quadratic cost, Eqn. 3.4-2's half sum of
-    squares: its Gram matrix says what any number of patterns would, so that an epoch costs p²
-    operations and not a pass over them. `train` takes it in place of `Examples`, with
-    `Backpropagation`, the cost `half_square` and batches.
-
-    **Attributes**
-
-    - `gram`: (p, p), the mean over patterns of regressor' regressor.
-    - `moment`: (p,), the mean of regressor' target.
-    - `square`: mean over patterns of the summed squared targets.
-    - `layered_gram`: (groups, p, p), parts of `gram` by the adaptive layer that the left factor
-      belongs to.
-    - `layered_moment`: (groups, p), parts of `moment` by layer.
-
-    Where subnetworks learn from pairs of their own, `gram`, `moment` and `square` are of all pairs
-    that count for any, as costs are. A layer's parts are of its own pairs. The sum of
-    `layered_gram` is then not `gram`, and not symmetric.
-    """
-
-    gram: Float[Array, "*sets weights weights"]
-    moment: Float[Array, "*sets weights"]
-    square: Float[Array, "*sets"]
-    layered_gram: Float[Array, "*sets groups weights weights"]
-    layered_moment: Float[Array, "*sets groups weights"]
-
-    @property
-    def trainings(self) -> int | None:
-        """Number of sets of patterns, if there is a leading axis of them; otherwise None."""
-        return self.gram.shape[0] if self.gram.ndim == 3 else None
-
-    @property
-    def arrays(self) -> tuple[Array, ...]:
-        """The numbers, to check their precision."""
-        return (self.gram, self.layered_moment)
-
-    def check_rule(self, rule: AbstractRule, cost: Cost, order: str) -> str | None:
-        """Return why these equations do not suit the training, in one line; None if they do."""
-        if not isinstance(rule, Backpropagation):
-            return (
-                f"normal equations serve backpropagation only: {rule.name} needs every pattern's"
-                " own values; train it on `examples`"
-            )
-        if order != "batch":
-            return "normal equations know no single patterns: train sequentially on `examples`"
-        if cost is not half_square:
-            return "normal equations know the cost `half_square` only; give it to the plan"
-        return None
-
-    def costs(
-        self, network: AdaptiveNetwork, weights: Float[Array, " weights"], *costs: Cost
-    ) -> tuple[Float[Array, ""], ...]:
-        """Half the mean of the summed squared errors (Eqn. 3.4-2), once for each of `costs`.
-
-        A difference of large numbers where it is small: of a cost below a millionth of a
-        millionth of that of zero weights nothing is left but rounding, and it may be negative.
-        """
-        del network
-        square = weights @ (self.gram @ weights) - 2.0 * (self.moment @ weights) + self.square
-        return (0.5 * square,) * len(costs)
-
-    def trial_costs(
-        self,
-        network: AdaptiveNetwork,
-        weights: Float[Array, " weights"],
-        change: Float[Array, "groups weights"],
-        trials: Float[Array, "trials groups"],
-        cost: Cost,
-    ) -> Float[Array, " trials"]:
-        """The cost after a change of the weights at each of several sets of rates."""
-        return jax.vmap(lambda trial: self.costs(network, weights + trial @ change, cost)[0])(
-            trials
-        )
-
-    def change(
-        self,
-        network: AdaptiveNetwork,
-        rule: AbstractRule,
-        weights: Float[Array, " weights"],
-        learning: tuple[bool, ...],
-    ) -> Float[Array, "groups weights"]:
-        """A batch's move at a rate of one, as `Backpropagation` finds it on the patterns."""
-        del rule
-        layers = [layer.links for _, layer in network.adaptive_layers]
-        shares = jnp.asarray(1.0 / links_per_weight(layers, network.size, learning))
-        gradient = self.layered_moment - self.layered_gram @ weights
-        takes_part = jnp.asarray(learning, gradient.dtype)
-        return gradient * shares[None, :] * takes_part[:, None]
-
-    def solution(self) -> Float[Array, "*sets weights"]:
-        """The weights at which backpropagation at one rate for all layers no longer moves, (p,).
-
-        They solve Z'(t - X k) = 0 over all pairs of output and pattern. X is the regressor. Z is X
-        with the columns of a subnetwork zero at pairs that it does not learn from. If all
-        subnetworks learn from the same pairs, this is the least-squares solution, of lowest cost.
-        Otherwise it is an instrumental-variable estimate with the instruments Z: its cost may be
-        above the lowest. It helps where what the network lacks correlates with the columns that Z
-        has zero, and with no others, as static friction does with viscous and Coulomb friction
-        (7.2.2). The other columns then keep the pairs, which a mask of all subnetworks would lose.
-
-        Of weights that the patterns leave open, the smallest in proportion to their regressors.
-        Can be jitted, and mapped over sets of patterns.
-
-        >>> import numpy as np
-        >>> from jaxcslc.training import fully_connected
-        >>> from jaxcslc.training import examples, normal_equations
-        >>> network = fully_connected([1, 1], "linear combiner")
-        >>> line = examples(network, np.array([[0.0], [1.0]]), np.array([[1.0], [3.0]]))
-        >>> normal_equations(network, line).solution().round(9).tolist()  # slope and bias
-        [2.0, 1.0]
-        """
-        matrix = jnp.sum(self.layered_gram, axis=-3)
-        moment = jnp.sum(self.layered_moment, axis=-2)
-        lengths = jnp.sqrt(jnp.diagonal(self.gram, axis1=-2, axis2=-1))
-        lengths = jnp.where(lengths > 0.0, lengths, 1.0)
-        scaled = matrix / (lengths[..., :, None] * lengths[..., None, :])
-
-        def solved(scaled: Array, moment: Array) -> Array:
-            return jnp.linalg.lstsq(scaled, moment)[0]
-
-        for _ in range(moment.ndim - 1):
-            solved = jax.vmap(solved)
-        return solved(scaled, moment / lengths) / lengths
-
-
 def normal_equations(network: AdaptiveNetwork, training_set: Examples) -> NormalEquations:
     """The normal equations of patterns; pairs that do not count are left out.
 
@@ -510,11 +464,10 @@ def normal_equations(network: AdaptiveNetwork, training_set: Examples) -> Normal
 
     >>> import jax.numpy as jnp
     >>> from jaxcslc.training import fully_connected
-    >>> from jaxcslc.training import examples, half_square, normal_equations
+    >>> from jaxcslc.training import examples, normal_equations
     >>> network = fully_connected([1, 1], "linear combiner")
     >>> line = examples(network, jnp.asarray([[0.0], [1.0]]), jnp.asarray([[1.0], [3.0]]))
-    >>> (cost,) = normal_equations(network, line).costs(network, jnp.zeros(2), half_square)
-    >>> float(cost)  # (1 + 9) / 2 / 2
+    >>> float(normal_equations(network, line).cost(jnp.zeros(2)))  # (1 + 9) / 2 / 2
     2.5
     """
     if not network.linear or network.activation != LINEAR_COMBINER:

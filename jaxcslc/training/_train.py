@@ -15,11 +15,12 @@ from tqdm import tqdm
 from .._environment import platform_of, require_float64
 from .._scratch import unfinished
 from ._epoch import OUTCOMES, History, Record, Training, TrainingState, epoch
-from ._examples import Examples, NormalEquations
+from ._examples import Examples
+from ._functions import half_square
 from ._kernel import rule_kernel
 from ._network import AdaptiveNetwork
 from ._plan import Plan, Schedule
-from ._rules import AbstractRule
+from ._rules import AbstractRule, Backpropagation
 
 
 class Checkpoint:
@@ -120,7 +121,7 @@ _GPU_MEMORY = 4e9
 
 def train(
     network: AdaptiveNetwork,
-    training_set: Examples | NormalEquations,
+    training_set: Examples,
     weights: Float[Array | np.ndarray, "*trainings weights"],
     plan: Plan | AbstractRule,
     *,
@@ -139,9 +140,8 @@ def train(
     **Arguments**
 
     - `network`: p weights.
-    - `training_set`: the training patterns, from `examples`, or their `normal_equations`; for
-      trainings on a recording each, with a leading axis on every array, as `jax.vmap` of
-      `examples` gives.
+    - `training_set`: the training patterns, from `examples`; for trainings on a recording each,
+      with a leading axis on every array, as `jax.vmap` of `examples` gives.
     - `weights`: (p,) to start from; (trainings, p) for many.
     - `plan`: a `Plan`, or one rule for a plan of defaults.
     - `epochs`: at most.
@@ -237,7 +237,7 @@ def train(
 def training_steps(
     network: AdaptiveNetwork,
     plan: Plan,
-    training_set: Examples | NormalEquations,
+    training_set: Examples,
     stop_set: Examples | None,
     state: TrainingState,
     epochs: int,
@@ -262,7 +262,7 @@ def training_steps(
 def _many_steps(
     network: AdaptiveNetwork,
     plan: Plan,
-    training_set: Examples | NormalEquations,
+    training_set: Examples,
     stop_set: Examples | None,
     state: TrainingState,
     epochs: int,
@@ -348,9 +348,7 @@ def _ended_in_step(
     return eqx.tree_at(lambda s: s.outcome, state, outcome)
 
 
-def _block(
-    network: AdaptiveNetwork, training_set: Examples | NormalEquations, plan: Plan, trainings: int
-) -> int:
+def _block(network: AdaptiveNetwork, training_set: Examples, plan: Plan, trainings: int) -> int:
     """Return the number of trainings to run side by side.
 
     A divisor of all trainings is preferred: a remainder needs another compilation.
@@ -360,17 +358,16 @@ def _block(
     return even if 2 * even > most else most
 
 
-def _largest_block(
-    network: AdaptiveNetwork, training_set: Examples | NormalEquations, plan: Plan
-) -> int:
+def _largest_block(network: AdaptiveNetwork, training_set: Examples, plan: Plan) -> int:
     """Return the most trainings to run side by side; on a CPU, those that stay near its caches."""
-    if isinstance(training_set, NormalEquations):
+    rules, costs = plan.schedule.rules, {plan.cost, plan.measure or plan.cost}
+    by_equations = training_set.equations is not None and costs == {half_square}
+    if by_equations and all(isinstance(rule, Backpropagation) for rule in rules):
         return _MOST_OF_EQUATIONS
     if platform_of(training_set.targets) == "cpu":
         return _MOST_ON_HOST
     learning, layers = plan.learning(network), len(network.adaptive_layers)
     by_kernel = training_set.condensed is not None and training_set.trainings is None
-    rules, costs = plan.schedule.rules, {plan.cost, plan.measure or plan.cost}
     by_subnetwork = training_set.subnetwork_counts is not None
     by_kernel = by_kernel and all(
         rule_kernel(network, rule, learning, by_subnetwork=by_subnetwork) is not None
@@ -439,9 +436,7 @@ def _check_numbers(
             raise ValueError(f"{name}: expected one{alternative}, got shape {shape}")
 
 
-def _check(
-    network: AdaptiveNetwork, training_set: Examples | NormalEquations, start: Array, plan: Plan
-) -> None:
+def _check(network: AdaptiveNetwork, training_set: Examples, start: Array, plan: Plan) -> None:
     require_float64(start, *training_set.arrays)
     if start.ndim not in (1, 2) or start.shape[-1] != network.size:
         raise ValueError(
@@ -457,14 +452,11 @@ def _check(
             f"weights: {len(start)} starts, but {training_set.trainings} sets of patterns"
         )
     learning = plan.learning(network)
-    if plan.schedule.switch is not None and not isinstance(training_set, Examples):
-        raise ValueError("a switch looks at every pattern's error: train on `examples`")
     for rule in plan.schedule.rules:
         reason = rule.check_network(network)
-        reason = reason or training_set.check_rule(rule, plan.cost, plan.order)
         if reason is not None:
             raise ValueError(reason)
-        if isinstance(training_set, Examples) and training_set.trainings is None:
+        if training_set.trainings is None:
             reason = rule.check_patterns(
                 network, training_set.signals, training_set.learning_counts
             )

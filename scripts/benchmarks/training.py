@@ -24,13 +24,12 @@ from jaxcslc.training import (
     Backpropagation,
     Examples,
     FixedRates,
-    NormalEquations,
     Plan,
     examples,
     half_square,
     inverse_dynamics,
-    normal_equations,
     train,
+    with_normal_equations,
 )
 from scripts.benchmarks.metrics import Metric, report
 
@@ -40,7 +39,7 @@ jc.enable_x64()
 
 def timed(
     network: AdaptiveNetwork,
-    patterns: Examples | NormalEquations,
+    patterns: Examples,
     weights: jax.Array,
     plan: Plan,
     epochs: int,
@@ -124,7 +123,7 @@ def training(
         error = float(jnp.max(jnp.abs(both[0] - one)) / jnp.max(jnp.abs(alone)))
         yield Metric(f"peral.{name}.disagreement", error, "1", "lower", 10.0)
 
-    equations = normal_equations(network, training_set)
+    equations = with_normal_equations(network, training_set)
     plan = Plan(Backpropagation(), AdaptedRates(1e-3), cost=half_square, patience=10**9)
     passed = 200 * epochs
     first, second, _ = timed(network, equations, start, plan, passed)

@@ -28,9 +28,9 @@ from jaxcslc.training import (
     fully_connected,
     half_square,
     mean_modulus,
-    normal_equations,
     train,
     training_steps,
+    with_normal_equations,
 )
 
 
@@ -231,12 +231,13 @@ def test_normal_equations_side_by_side(problem: Problem, rng: np.random.Generato
     recordings, single_sets = stacked(problem, rng)
     network, start = problem.network, problem.starts[0]
     plan = Plan(Backpropagation(), AdaptedRates(0.1), cost=half_square)
-    side_by_side = jax.jit(jax.vmap(lambda training_set: normal_equations(network, training_set)))
-    made = side_by_side(recordings)
+    made = jax.jit(jax.vmap(lambda training_set: with_normal_equations(network, training_set)))(
+        recordings
+    )
     assert made.trainings == 5
     many = train(network, made, start, plan, epochs=EPOCHS, chunk=60)
     for at in (0, 4):
-        alone = normal_equations(network, single_sets[at])
+        alone = with_normal_equations(network, single_sets[at])
         single = train(network, alone, start, plan, epochs=EPOCHS, chunk=60)
         assert_same(many, at, single)
 

@@ -23,7 +23,6 @@ from jaxcslc.training import (
     examples,
     fully_connected,
     half_square,
-    normal_equations,
     train,
 )
 from jaxcslc.training._plan import line_gain, promise
@@ -222,8 +221,3 @@ def test_refused(noisy: Noisy) -> None:
         SwitchWhen(margin=0.0)
     with pytest.raises(ValueError, match="durations above zero"):
         SwitchWhen(durations=(1.0, 0.0))
-    network, training_set, start = noisy
-    plan = Plan(Schedule(RULES, switch=SwitchWhen()), cost=half_square)
-    equations = normal_equations(network, training_set)
-    with pytest.raises(ValueError, match=r"^a switch looks at every pattern's error"):
-        train(network, equations, start, plan)

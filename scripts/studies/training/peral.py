@@ -33,12 +33,12 @@ from jaxcslc.report import all_or_nothing, write_csv, write_json
 from jaxcslc.training import (
     AdaptedRates,
     Backpropagation,
-    NormalEquations,
+    Examples,
     Plan,
     TrainingState,
     half_square,
-    normal_equations,
     training_steps,
+    with_normal_equations,
 )
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
@@ -86,8 +86,9 @@ def one_minimum(outcome: Outcome, options: argparse.Namespace, rows: Rows) -> di
     first seed's normal equations, and at the ends of the comparison's trainings.
     """
     problem = outcome.problem
-    equations = normal_equations(problem.network, problem.first)
-    least = float(equations.costs(problem.network, equations.solution(), half_square)[0])
+    patterns = with_normal_equations(problem.network, problem.first)
+    assert patterns.equations is not None
+    least = float(patterns.equations.cost(patterns.equations.solution()))
     missing = [number for number in range(options.starts) if (number,) not in rows]
     with command.progress(
         desc="one minimum",
@@ -96,7 +97,7 @@ def one_minimum(outcome: Outcome, options: argparse.Namespace, rows: Rows) -> di
     ) as bar:
         for first in range(0, len(missing), STARTS_AT_ONCE):
             numbers = missing[first : first + STARTS_AT_ONCE]
-            state = to_the_minimum(problem, equations, least, numbers, options, bar)
+            state = to_the_minimum(problem, patterns, least, numbers, options, bar)
             rows.add(
                 *(
                     {"start": number, "epochs": epochs, "ratio": lowest / least}
@@ -125,7 +126,7 @@ def one_minimum(outcome: Outcome, options: argparse.Namespace, rows: Rows) -> di
 
 def to_the_minimum(
     problem: Problem,
-    equations: NormalEquations,
+    patterns: Examples,
     least: float,
     numbers: Sequence[int],
     options: argparse.Namespace,
@@ -145,7 +146,7 @@ def to_the_minimum(
     state = jax.vmap(lambda w, key: TrainingState.first(network, plan, w, key))(start, keys)
     epochs = min(CHECKS, options.minimum_epochs)
     steps = eqx.filter_jit(
-        jax.vmap(lambda s: training_steps(network, plan, equations, None, s, epochs)[0])
+        jax.vmap(lambda s: training_steps(network, plan, patterns, None, s, epochs)[0])
     )
     passed = 0
     while passed < options.minimum_epochs and not bool(jnp.all(state.done)):

@@ -208,6 +208,7 @@ def group_rows(
             timed=False,
         )
     with stages.measured("solve"):
+        assert training_set.equations is not None
         direct = jax.block_until_ready(training_set.equations.solution())
     weights = {TRAINED: trained.weights, SOLVED: direct, PUBLISHED: published, TRUE: true}
     with stages.measured("judge"):
