@@ -3,7 +3,7 @@
 recordings ──► problem, start ──► search: step, test, stages ──► fit, errors
 
 - `_blocks`: residual blocks (readings, equations of motion, rest, reversals, priors).
-- `_equations`, `_motion_code`: equations of motion with derivatives.
+- `_equations`, `_smooth_torque`, `_joint_friction`: equations of motion with derivatives.
 - `_band`, `_normal_equations`, `_linear`: elimination in time with a border.
 - `_search`, `_search_state`, `_levenberg`: the search.
 - `_likelihood_fit`, `_reported_errors`: the result and its uncertainty.
@@ -22,11 +22,10 @@ from ._comparison import (
     presliding_line as presliding_line,
 )
 from ._elastic_equations import ElasticEquations as ElasticEquations
-from ._equations import MotionEquations as MotionEquations
+from ._equations import Linearisation as Linearisation, MotionEquations as MotionEquations
 from ._left_out import LeftOut as LeftOut
 from ._likelihood_fit import LikelihoodFit as LikelihoodFit, Misfit as Misfit
 from ._maximum_likelihood import MaximumLikelihood as MaximumLikelihood
-from ._motion_code import MotionCode as MotionCode, motion_code as motion_code
 from ._normal_equations import Spectrum as Spectrum, solved as solved
 from ._pre_sliding_equations import PreSlidingEquations as PreSlidingEquations
 from ._reported_errors import RowSums as RowSums, eliminated_rows as eliminated_rows
@@ -39,7 +38,6 @@ from ._torque_record import (
     TorqueSampling as TorqueSampling,
     triangle_mean as triangle_mean,
 )
-from ._traced_equations import TracedEquations as TracedEquations
 from ._transmission import Transmission as Transmission, transmission_lines as transmission_lines
 
 

@@ -8,9 +8,8 @@ from jaxtyping import Bool, Float, Int
 
 from ..network import CSLC
 from ._columns import JointColumns
-from ._equations import AbstractEquations
+from ._equations import AbstractEquations, Linearisation
 from ._gears import Stencil
-from ._linearisation import Linearisation
 from ._transmission import TransmissionParameters
 
 

@@ -4,16 +4,17 @@ import abc
 import dataclasses
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from .._chunks import over_chunks
 from ..network import CSLC
-from ._linearisation import Linearisation
-from ._motion_code import MotionCode, motion_code
+from ._columns import JointColumns
+from ._joint_friction import JointFriction, JointMotion
+from ._smooth_torque import SmoothTorque
 from ._torque_record import triangle_mean
-from ._traced_equations import TracedEquations
 
 
 Samples = Float[np.ndarray, "samples series"]
@@ -22,10 +23,29 @@ Turns = Float[np.ndarray, "equations joints"]
 Joints = Float[np.ndarray, " joints"]
 Coefficients = Float[np.ndarray, " coefficients"]
 Laws = Float[np.ndarray, " laws"]
+# Equations that a thread computes, so that their numbers stay in a core's cache.
+_CHUNK = 4096
 # Below so many samples there are no differences of differences.
 _FEWEST = 5
 # Means are inverted in so many rounds: at even intervals, one leaves errors of fourth order.
 _ROUNDS = 3
+
+
+class Linearisation(NamedTuple):
+    """The torque of every equation, and its derivatives.
+
+    **Attributes**
+
+    - `torque`: (equations, series): joints, and what else moves.
+    - `by_position`: (equations, series, 3 series), by the positions at three samples.
+    - `by_coefficient`: p + n columns: by `k`, then by the logarithms of slopes.
+    - `by_turn`: (equations, n), by the moment at which the joint turns.
+    """
+
+    torque: Float[np.ndarray, "equations series"]
+    by_position: Float[np.ndarray, "equations series positions"]
+    by_coefficient: JointColumns
+    by_turn: Float[np.ndarray, "equations joints"]
 
 
 class AbstractEquations(abc.ABC):
@@ -111,7 +131,8 @@ class AbstractEquations(abc.ABC):
 class MotionEquations(AbstractEquations):
     """Equations of motion of rigid links.
 
-    By C code where there is a compiler, which takes a tenth of the time; else as JAX traces them.
+    Friction of single joints is averaged over both intervals of an equation (`JointFriction`), and
+    torque of all else is of the sample between them (`SmoothTorque`).
 
     **Attributes**
 
@@ -126,24 +147,46 @@ class MotionEquations(AbstractEquations):
         self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
     ) -> Rows:
         """Return what `AbstractEquations` declares."""
-        return self._functions.torque(self.intervals, k, laws, q, turn, direction)
+        result, smooth, friction = np.empty(turn.shape), self._smooth, self._friction
+
+        def compute(first: int, last: int) -> None:
+            motion = self._motion(q, turn, direction, slice(first, last))
+            torque = smooth.torque(k, motion[:3])
+            for of_joints in friction:
+                torque[of_joints.joints] += of_joints.torque(k, laws, motion)
+            result[first:last] = torque.T
+
+        over_chunks(compute, len(result), _CHUNK)
+        return result
 
     def linearised(
         self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
     ) -> Linearisation:
         """Return what `AbstractEquations` declares."""
-        return self._functions.linearised(self.intervals, k, laws, q, turn, direction)
+        (count, n), smooth, friction = turn.shape, self._smooth, self._friction
+        entries = np.array([*smooth.entries, *(e for part in friction for e in part.entries)], int)
+        order = np.lexsort(entries.reshape(-1, 2).T[::-1])
+        torque, by_turn = np.zeros((2, count, n))
+        by_position, by_entry = np.zeros((count, n, 3 * n)), np.empty((count, len(entries)))
 
-    def smooth(self, k: Coefficients, q: Rows, velocity: Rows, acceleration: Rows) -> Rows:
-        """Return torque of all terms but friction at instants, (equations, n)."""
-        return np.asarray(self._functions.smooth(k, q, velocity, acceleration))
+        def compute(first: int, last: int) -> None:
+            rows = slice(first, last)
+            motion = self._motion(q, turn, direction, rows)
+            of_friction, by_motion = np.zeros((n, last - first)), np.zeros((3, n, last - first))
+            by_friction: list[np.ndarray] = []
+            for of_joints in friction:
+                mean, joints = of_joints.mean(k, laws, motion), of_joints.joints
+                of_friction[joints], by_motion[:, joints] = mean.torque, mean.by_motion
+                by_turn[rows, joints] = mean.by_turn.T
+                by_friction += [mean.by_coefficient, mean.by_slope]
+            total, columns = smooth.linearised(k, motion, by_motion, by_position[rows])
+            torque[rows] = (total + of_friction).T
+            by_entry[rows] = np.concatenate([columns, *by_friction])[order].T
 
-    def friction(
-        self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns, shift: Rows
-    ) -> Rows:
-        """Return torque of friction as in `torque`, for velocities that are larger by `shift`."""
-        functions = self._functions
-        return np.asarray(functions.friction(self.intervals, k, laws, q, turn, direction, shift))
+        over_chunks(compute, count, _CHUNK)
+        joints, columns = entries.reshape(-1, 2)[order].T
+        of_entries = JointColumns(by_entry, joints, columns, (n, self.network.size + n))
+        return Linearisation(torque, by_position, of_entries, by_turn)
 
     def truncation(
         self,
@@ -157,18 +200,40 @@ class MotionEquations(AbstractEquations):
     ) -> Rows:
         """Return what `AbstractEquations` declares; see `triangle_truncation`."""
 
-        def smooth(*motion: Any) -> Rows:
-            return self.smooth(k, *motion)
+        def smooth(*motion: Rows) -> Rows:
+            return self._smooth.torque(k, [x.T for x in motion]).T
 
         result, shift = triangle_truncation(smooth, q, time, part)
-        changed, unchanged = (
-            self.friction(k, laws, q, turn, direction, values) for values in (shift, 0.0 * shift)
-        )
-        return result + changed - unchanged
+        motion = self._motion(q, turn, direction, slice(0, len(turn)))
+        shifted = motion._replace(velocity=motion.velocity + shift.T)
+        for friction in self._friction:
+            change = friction.torque(k, laws, shifted) - friction.torque(k, laws, motion)
+            result[:, friction.joints] += change.T
+        return result
+
+    def _motion(self, q: Samples, turn: Turns, direction: Turns, rows: slice) -> JointMotion:
+        """Return the motion of some equations."""
+        positions = np.ascontiguousarray(q[rows.start : rows.stop + 2].T)
+        intervals = self.intervals[rows.start : rows.stop + 1]
+        return JointMotion.of(positions, intervals, turn[rows].T, direction[rows].T)
 
     @cached_property
-    def _functions(self) -> MotionCode | TracedEquations:
-        return motion_code(self.network) or TracedEquations(self.network)
+    def _smooth(self) -> SmoothTorque:
+        return SmoothTorque.of(*_key(self.network))
+
+    @cached_property
+    def _friction(self) -> tuple[JointFriction, ...]:
+        return JointFriction.of(*_key(self.network))
+
+
+def _key(network: CSLC) -> tuple[CSLC, int]:
+    """Return the network without slopes of its own, which are arguments, and its size.
+
+    A layout is kept once it was asked for, and networks with and without it are not equal.
+    """
+    if network.static_slopes is not None:
+        network = network.with_static_slopes(np.ones(network.joint_count))
+    return network, network.layout.size
 
 
 def triangle_truncation(

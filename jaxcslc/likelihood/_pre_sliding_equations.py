@@ -7,8 +7,7 @@ from jaxtyping import Float, Int
 
 from ..friction import contact_states, dry_term
 from ..network import CSLC
-from ._equations import AbstractEquations, MotionEquations
-from ._linearisation import Linearisation
+from ._equations import AbstractEquations, Linearisation, MotionEquations
 
 
 Samples = Float[np.ndarray, "samples joints"]

@@ -13,7 +13,6 @@ from jaxcslc.likelihood import (
     MotionEquations,
     RowSums,
     TorqueRecord,
-    TracedEquations,
     _reported_errors as _rows,
     eliminated_rows,
 )
@@ -29,6 +28,7 @@ from jaxcslc.likelihood._objective import Objective
 from jaxcslc.likelihood._point import Point, Step
 from jaxcslc.likelihood._signs import LATEST_TURN, Signs
 from tests import arms
+from tests.likelihood.traced_equations import TracedEquations
 
 
 SAMPLES = 12
@@ -65,18 +65,13 @@ def objective(arm: jc.CSLC) -> tuple[Objective, Point]:
     return result, Point.of(values, q, signs.turn)
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_derivatives(objective: tuple[Objective, Point], compiled: bool) -> None:
-    """Of C code, and where there is no compiler."""
+def test_derivatives(objective: tuple[Objective, Point]) -> None:
     problem, point = objective
     motion = problem.motion
     turns, direction = motion.signs.turns(point.turn), motion.signs.direction
     network, intervals = motion.equations.network, motion.equations.intervals
     traced = TracedEquations(network)
-    values = point.k, point.slopes, point.q, turns, direction
-    linear = (
-        motion.equations.linearised(*values) if compiled else traced.linearised(intervals, *values)
-    )
+    linear = motion.equations.linearised(point.k, point.slopes, point.q, turns, direction)
 
     def torque(k: jax.Array, slopes: jax.Array, q: jax.Array, turns: jax.Array) -> jax.Array:
         return traced._torque(intervals, k, slopes, q, turns, direction)
