@@ -89,7 +89,6 @@ FEATURES: Mapping[str, Callable[[Request], bool]] = {
     "prior of links": lambda r: r.prior is not None and bool(r.prior.links),
     "prior of the likelihood": lambda r: r.likelihood_options.prior is not None,
     "bodies of the likelihood": lambda r: r.likelihood_options.possible,
-    "elastic gears": lambda r: bool(r.likelihood_options.transmission),
     "distances": lambda r: bool(r.likelihood_options.presliding_distance),
     "horizon": lambda r: r.horizon,
     "known masses": lambda r: any(inertia.has_known for inertia in r.network.robot.inertia),
@@ -141,13 +140,6 @@ EXCLUSIONS = (
         ("bodies of the likelihood",),
         "likelihood: possible bodies are asked for by possible='always'",
     ),
-    *(
-        Exclusion(("elastic gears", feature), f"likelihood: a transmission is not with {name}")
-        for feature, name in (
-            (BODIES, "possible='always'"),
-            ("prior of links", "links of the prior"),
-        )
-    ),
     Exclusion(
         (f"unsupported {LIKELIHOOD}",),
         "estimator {r.estimator!r}: takes no options of maximum likelihood",
@@ -186,7 +178,6 @@ EXCLUSIONS = (
             (SEVERAL, "several recordings are fitted together"),
             (f"unsupported {PRE_SLIDING}", "it is not for the estimator {r.estimator!r}"),
             ("distances", "its distances are given"),
-            ("elastic gears", "it is not for gears that give way"),
             ("prior", "coefficients are known beforehand"),
             ("prior of the likelihood", "coefficients are known beforehand"),
             (LOAD_FRICTION, "friction follows the load"),

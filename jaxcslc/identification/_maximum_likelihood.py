@@ -465,7 +465,7 @@ def _misfit(
     network: CSLC,
     k: np.ndarray,
 ) -> Misfit:
-    """Misfit of coefficients to recordings on time, with noise and gears of a fit."""
+    """Misfit of coefficients to recordings on time, with noise of a fit."""
     options = options_for(problem.request.likelihood_options, problem.settings)
     return options.as_of(likelihood).misfit(
         network,
@@ -473,7 +473,6 @@ def _misfit(
         k,
         np.sqrt(np.mean(likelihood.torque_noise**2, axis=0)),
         np.sqrt(np.mean(likelihood.position_noise**2, axis=0)),
-        likelihood,
     )
 
 
@@ -483,13 +482,9 @@ def _relative(
     """Misfits of maximum likelihood over those of least squares."""
     likelihood, regression = unfitted.likelihood, unfitted.least_squares
     other = _with_coefficients(likelihood.network, regression.network, np.asarray(regression.k))
-    rigid = dataclasses.replace(likelihood, transmission=None)
     ours, theirs = (
-        _misfit(problem, fit, unfitted.recordings, *coefficients)
-        for fit, coefficients in (
-            (likelihood, (likelihood.network, predicted)),
-            (rigid, other),
-        )
+        _misfit(problem, likelihood, unfitted.recordings, *coefficients)
+        for coefficients in ((likelihood.network, predicted), other)
     )
     stretches = np.array_split(np.arange(len(ours.mask)), FOLDS)
     return RelativeError.of(

@@ -14,6 +14,7 @@ from ._band import (
     equation_changes as equation_changes,
     equation_gradients as equation_gradients,
 )
+from ._blocks import ConstantBlock as ConstantBlock, Normal as Normal
 from ._columns import JointColumns as JointColumns
 from ._comparison import (
     Estimator as Estimator,
@@ -21,13 +22,23 @@ from ._comparison import (
     estimator_text as estimator_text,
     presliding_line as presliding_line,
 )
-from ._elastic_equations import ElasticEquations as ElasticEquations
-from ._equations import Linearisation as Linearisation, MotionEquations as MotionEquations
+from ._equations import (
+    AbstractEquations as AbstractEquations,
+    Linearisation as Linearisation,
+    MotionEquations as MotionEquations,
+)
 from ._left_out import LeftOut as LeftOut
-from ._likelihood_fit import LikelihoodFit as LikelihoodFit, Misfit as Misfit
+from ._likelihood_fit import (
+    LikelihoodFit as LikelihoodFit,
+    Misfit as Misfit,
+    border_errors as border_errors,
+    likelihood_fit as likelihood_fit,
+)
 from ._maximum_likelihood import MaximumLikelihood as MaximumLikelihood
 from ._normal_equations import Spectrum as Spectrum, solved as solved
+from ._point import Point as Point, Step as Step
 from ._pre_sliding_equations import PreSlidingEquations as PreSlidingEquations
+from ._problem import LikelihoodProblem as LikelihoodProblem, SearchStart as SearchStart
 from ._reported_errors import RowSums as RowSums, eliminated_rows as eliminated_rows
 from ._search import Minimum as Minimum, search as search, search_on as search_on
 from ._search_state import SearchState as SearchState
@@ -38,7 +49,6 @@ from ._torque_record import (
     TorqueSampling as TorqueSampling,
     triangle_mean as triangle_mean,
 )
-from ._transmission import Transmission as Transmission, transmission_lines as transmission_lines
 
 
 __all__ = [
@@ -50,5 +60,4 @@ __all__ = [
     "NoiseExcitation",
     "SpacingChoice",
     "TorqueSampling",
-    "Transmission",
 ]

@@ -9,7 +9,6 @@ from jaxtyping import Float
 
 from ..uncertainty import RelativeError, Source
 from ._likelihood_fit import LikelihoodFit
-from ._transmission import transmission_lines
 
 
 Estimator = Literal["least-squares", "maximum-likelihood"]
@@ -70,9 +69,6 @@ class EstimatorComparison:
             "torque_noise": self.likelihood.torque_noise.tolist(),
             "position_noise": self.likelihood.position_noise.tolist(),
             "spacing": None if likelihood.spacing is None else likelihood.spacing.document(),
-            "transmission": (
-                None if likelihood.transmission is None else likelihood.transmission.document()
-            ),
             "lengths": likelihood.presliding_distance.tolist()
             if likelihood.presliding_distance.any()
             else None,
@@ -107,7 +103,6 @@ def estimator_text(document: Mapping[str, Any], units: Sequence[str]) -> str:
     )
     if document["lengths"] is not None:
         lines.append(f"    {presliding_line(document['lengths'], units)}")
-    lines += [f"    {line}" for line in transmission_lines(document["transmission"])]
     if document["spacing"] is not None:
         lines += [f"    {line}" for line in document["spacing"]["lines"]]
     return "\n".join(lines)

@@ -1,7 +1,7 @@
 """The result of maximum likelihood, and the misfit of fixed coefficients."""
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -12,12 +12,10 @@ from ..bodies import PhysicalParameters
 from ..least_squares import RESULTS, Errors, Identification
 from ..network import CSLC
 from ..uncertainty import SystematicError
-from ._elastic_equations import ElasticEquations
 from ._normal_equations import Spectrum
 from ._reported_errors import CorrelatedErrors, RowSums, reported_errors, systematic_errors
 from ._search import Minimum
 from ._spacing import NoiseExcitation, SpacingChoice
-from ._transmission import Transmission, TransmissionParameters
 
 
 # A coefficient that shares this part of a unit null vector is not determined by itself.
@@ -47,15 +45,13 @@ class LikelihoodFit(eqx.Module):
       it; NaN where it does not.
     - `reversals`: how many moments of reversals were estimated.
     - `steps`: of the search; `converged`: whether it ended at a minimum.
-    - `transmission`: gears that give way; None if they are rigid. The network's coefficients are
-      those of links and rotors together.
     - `bodies`: with `MaximumLikelihood.possible`, those whose coefficients `fit` has; its standard
       errors are those of coefficients that nothing confines, an upper bound. `free`: the fit
       without bodies. Both are None otherwise.
     - `every`: positions were unknown at every so many samples.
     - `systematic`: what a wrong time of torques, and terms that the network lacks, may do to `fit`
       beyond its standard errors, by cause (`uncertainty_interval(fit, systematic)`); None with
-      `errors="independent"` and with `transmission`.
+      `errors="independent"`, and where more than joints moves.
     - `presliding_distance`: (n,) [rad or m], as that of `MaximumLikelihood`: dry friction of these
       joints is for motion that slides. Standard errors are for known distances.
     - `spacing`: why positions are as far apart as they are, where `every` was `"auto"`; None
@@ -87,7 +83,6 @@ class LikelihoodFit(eqx.Module):
     reversals: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     converged: bool = eqx.field(static=True)
-    transmission: Transmission | None = None
     bodies: PhysicalParameters | None = None
     free: Identification | None = None
     systematic: SystematicError | None = None
@@ -102,16 +97,10 @@ class LikelihoodFit(eqx.Module):
 
     def at(self, samples: Bool[np.ndarray, " samples"]) -> "LikelihoodFit":
         """Return the same with some of the estimated positions."""
-        gears = self.transmission
-        if gears is not None:
-            gears = eqx.tree_at(
-                lambda gears: gears.link_position, gears, gears.link_position[samples]
-            )
         return dataclasses.replace(
             self,
             position=self.position[samples],
             reversal_moments=self.reversal_moments[samples],
-            transmission=gears,
         )
 
     def __repr__(self) -> str:
@@ -166,33 +155,54 @@ class Misfit:
         return cls(error, left["torque"][:, :joints], minimum.counted)
 
 
+class BorderErrors(NamedTuple):
+    """Errors of all that equations share, for independent or correlated residuals.
+
+    - `reported`: of the border in units of its scale; `spectrum`: of its information.
+    - `covariance`, `independent_covariance`: (border, border).
+    - `error`: (border,) standard errors; infinite for what the recording does not determine.
+    """
+
+    reported: CorrelatedErrors
+    spectrum: Spectrum
+    covariance: Float[np.ndarray, "border border"]
+    independent_covariance: Float[np.ndarray, "border border"]
+    error: Float[np.ndarray, " border"]
+
+
+def border_errors(minimum: Minimum, errors: Errors) -> BorderErrors:
+    """Return the errors of the end of a search; `errors`: as of `MaximumLikelihood`."""
+    spectrum, scale = Spectrum.of(minimum.factored.information), minimum.objective.scale
+    counts, inverse = minimum.counted.sum(axis=0).astype(float), spectrum.covariance
+    sums = RowSums.of(minimum.linear, minimum.factored)
+    bound = sums.independent_covariance(inverse)
+    freedom = max(float(counts.sum()) - len(minimum.point.k), 1.0)
+    reported = CorrelatedErrors(bound, freedom, counts)
+    if errors == "correlated":
+        reported = reported_errors(minimum.linear, sums, inverse, bound, minimum.counted)
+    independent, covariance = (
+        matrix * scale[:, None] * scale[None, :] for matrix in (bound, reported.covariance)
+    )
+    unclear = np.sqrt(np.sum(spectrum.undetermined**2, axis=0)) >= _SHARE
+    error = np.where(unclear, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+    return BorderErrors(reported, spectrum, covariance, independent, error)
+
+
 def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> LikelihoodFit:
     """Return the result of a search, with standard errors for independent or correlated
     residuals."""
     point, p, n = minimum.point, network.size, network.joint_count
-    spectrum, border = Spectrum.of(minimum.factored.information), minimum.objective.scale
     residual, used = minimum.linear.residuals["torque"][:, :n], minimum.counted
     counts = used.sum(axis=0).astype(float)
-    inverse = spectrum.covariance
-    sums = RowSums.of(minimum.linear, minimum.factored)
-    bound = sums.independent_covariance(inverse)
-    reported = CorrelatedErrors(bound, max(float(counts.sum()) - p, 1.0), counts)
+    reported, spectrum, covariance, independent, error = border_errors(minimum, errors)
     systematic = None
-    if errors == "correlated":
-        reported = reported_errors(minimum.linear, sums, inverse, bound, used)
-        if not len(point.values("gears")):
-            systematic = systematic_errors(
-                minimum.linear, minimum.factored, point, used, reported.effective
-            )
-    independent, covariance = (
-        matrix * border[:, None] * border[None, :] for matrix in (bound, reported.covariance)
-    )
-    unclear = np.sqrt(np.sum(spectrum.undetermined**2, axis=0)) >= _SHARE
+    if errors == "correlated" and point.q.shape[1] == n:
+        systematic = systematic_errors(
+            minimum.linear, minimum.factored, point, used, reported.effective
+        )
     null = spectrum.undetermined[:, :p]
     undetermined = np.zeros((p, p))
-    undetermined[: len(null)] = null * (border / spectrum.unit)[:p]
-    determined = ~unclear[:p]
-    error = np.where(unclear, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+    undetermined[: len(null)] = null * (minimum.objective.scale / spectrum.unit)[:p]
     squares = np.sum(np.where(used, residual, 0.0) ** 2, axis=0)
     complete = len(null) == 0
     # Put on the device together: one by one, each is a program of its own.
@@ -209,7 +219,7 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
             "rank": p - len(null),
             "condition": np.sqrt(spectrum.values[-1] / spectrum.values[spectrum.counted][0]),
             "undetermined": undetermined,
-            "determined": determined,
+            "determined": np.isfinite(error[:p]),
         }
     )
     result = RESULTS.successful if complete else RESULTS.rank_deficient
@@ -234,25 +244,4 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
         steps=minimum.steps,
         converged=minimum.converged,
         systematic=systematic,
-        transmission=_transmission(minimum, error[point.layout.part("gears")]),
-    )
-
-
-def _transmission(minimum: Minimum, error: Float[np.ndarray, " parameters"]) -> Transmission | None:
-    """Return gears that give way, with standard errors of their parameters; None of rigid ones."""
-    point, equations = minimum.point, minimum.objective.motion.equations
-    if not isinstance(equations, ElasticEquations):
-        return None
-    values, errors = map(TransmissionParameters.of, (point.values("gears"), error))
-    return Transmission(
-        joints=tuple(int(joint) + 1 for joint in equations.joints),
-        compliance=values.compliance,
-        compliance_error=errors.compliance,
-        lag=values.lag,
-        lag_error=errors.lag,
-        play=values.play,
-        play_error=errors.play,
-        rotor_inertia=values.rotor_inertia,
-        rotor_inertia_error=errors.rotor_inertia,
-        link_position=point.q[:, len(point.slopes) :],
     )

@@ -12,7 +12,6 @@ from ..bodies import Prior
 from ..least_squares import ERRORS, Errors, Identification, Settings
 from ..network import CSLC
 from ..recordings import Recording
-from ._added_gears import near_transmission, transmission_search
 from ._likelihood_fit import LikelihoodFit, Misfit, likelihood_fit
 from ._point import Point
 from ._possible_bodies import possible_bodies
@@ -81,7 +80,7 @@ class MaximumLikelihood:
       the noise count by size, not square (Huber).
 
     Right where torque acts on rigid bodies. Compliance and backlash make errors that are neither
-    white nor small: see `every`, `transmission`, and `docs/likelihood.md`.
+    white nor small: see `every`, and `docs/likelihood.md`.
 
     **Attributes**
 
@@ -96,8 +95,6 @@ class MaximumLikelihood:
       transmission vibrates: a rigid model is right below those frequencies only. `"auto"`: 1, and
       3 where positions have more noise than readings explain; more where noise excites
       (`NoiseExcitation`).
-    - `transmission`: joints, from 1, whose rotor and link are two bodies, with a spring, a damper
-      and play between them; readings are of rotors. Automatic spacing is then one sample.
     - `prior`: values of coefficients that are known beforehand, with their errors, or fixed; with
       `possible`, of links, too.
     - `possible`: whether coefficients are those of possible bodies, near to the robot's where the
@@ -107,8 +104,7 @@ class MaximumLikelihood:
       are none.
 
     **Raises** `ValueError`: a `torque_sampling`, `errors` or `every` that is none of these, bounds
-    in a prior, links without `possible`, or a transmission with `possible` or
-    `presliding_distance`.
+    in a prior, or links without `possible`.
 
     >>> import numpy as np, jaxcslc as jc
     >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
@@ -127,7 +123,6 @@ class MaximumLikelihood:
     resolution: tuple[float, ...] | None = None
     errors: Errors = "correlated"
     every: int | Literal["auto"] = "auto"
-    transmission: tuple[int, ...] = ()
     prior: Prior | None = None
     possible: bool = False
     presliding_distance: tuple[float, ...] = ()
@@ -141,12 +136,6 @@ class MaximumLikelihood:
             raise ValueError(f"errors: expected {' or '.join(ERRORS)}, got {self.errors!r}")
         if self.every != "auto" and self.every < 1:
             raise ValueError(f"every: expected 1 or more or 'auto', got {self.every}")
-        for name, excluded in (
-            ("possible", self.possible),
-            ("presliding_distance", any(self.presliding_distance)),
-        ):
-            if self.transmission and excluded:
-                raise ValueError(f"transmission: not with {name}")
         check_prior(self.prior, possible=self.possible)
 
     def fit(
@@ -183,10 +172,6 @@ class MaximumLikelihood:
         if isinstance(start, LikelihoodFit):
             return self.as_of(start)._near(network, recordings, start, report)
         every = 1 if self.every == "auto" else self.every
-        if self.transmission:
-            problem, first = self.start(network, recordings, start, every)
-            minimum = transmission_search(problem, first, self.transmission, report)
-            return self._fit(network, minimum, every)
         searched, spacing = self._spaced(network, recordings, start, every, report)
         problem, first, minimum, noise = searched
         fit = self._fit(network, minimum, noise.every)
@@ -231,15 +216,12 @@ class MaximumLikelihood:
         """Fit near another fit, with its noise levels."""
         problem, first = self.start(network, recordings, near.fit, near.every)
         first = SearchStart(_point_near(first.point, near), near.torque_noise, near.position_noise)
-        edge = near.edge
-        if near.transmission is not None:
-            problem, first = near_transmission(problem, first, near.transmission)
         minimum = search(
             problem,
             *first,
             report,
             fixed_levels=True,
-            edge=edge,
+            edge=near.edge,
             moments=near.reversal_moments,
         )
         fit = dataclasses.replace(
@@ -284,7 +266,6 @@ class MaximumLikelihood:
         k: Float[Array | np.ndarray, " coefficients"],
         torque_noise: Float[np.ndarray, " joints"],
         position_noise: Float[np.ndarray, " joints"],
-        gears: LikelihoodFit | None = None,
     ) -> Misfit:
         """Return how well coefficients agree with recordings, without a smoothing of these.
 
@@ -299,7 +280,6 @@ class MaximumLikelihood:
         - `k`: (p,) coefficients.
         - `torque_noise`: (n,) standard deviations [N m or N].
         - `position_noise`: (n,) [rad or m]; of encoders, at least that of their steps counts.
-        - `gears`: a fit whose gears hold; by default gears are rigid.
 
         **Returns** a `Misfit`.
 
@@ -316,8 +296,6 @@ class MaximumLikelihood:
         )
         noise = np.where(encoders, np.maximum(noise, position_noise), position_noise)
         first = SearchStart(point, np.broadcast_to(torque_noise, residual.shape), noise)
-        if gears is not None and gears.transmission is not None:
-            problem, first = near_transmission(problem, first, gears.transmission)
         others = (name for name, _ in problem.layout.sizes if name != "offset")
         minimum = search(
             problem.fixing(*others),

@@ -248,7 +248,6 @@ class TestFrictionThatDoesNotYield:
 @pytest.mark.parametrize(
     ("estimator", "likelihood", "reason"),
     [
-        ("auto", jc.MaximumLikelihood(transmission=(1,)), "it is not for gears that give way"),
         ("auto", jc.MaximumLikelihood(prior=Prior()), "coefficients are known beforehand"),
         ("instrumental-variables", None, "it is not for the estimator 'instrumental-variables'"),
     ],

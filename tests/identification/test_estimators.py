@@ -162,18 +162,6 @@ class TestBadInput:
         with pytest.raises(ValueError, match="takes no options of maximum likelihood"):
             jc.identify(network, swing(network, 0), likelihood=options, **QUICK)
 
-    def test_elastic_gears_with_possible_bodies(self, network: jc.CSLC) -> None:
-        """Refused before any work, as an estimator that falls back would hide it."""
-        options = jc.MaximumLikelihood(transmission=(1,))
-        for estimator in ("maximum-likelihood", "auto"):
-            with pytest.raises(ValueError, match="transmission is not with possible='always'"):
-                jc.identify(
-                    *(network, swing(network, 0)),
-                    estimator=estimator,
-                    likelihood=options,
-                    possible="always",
-                )
-
     def test_a_re_identification(self, network: jc.CSLC) -> None:
         with pytest.raises(ValueError, match="'auto': not with previous, which is of least-squ"):
             jc.identify(*(network, swing(network, 0)), previous=K, groups=["dry"], estimator="auto")

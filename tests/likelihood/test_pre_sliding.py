@@ -175,8 +175,3 @@ def test_joints_without_dry_friction() -> None:
     motion = jc.Recording(time, np.sin(time)[:, None], np.cos(time)[:, None])
     with pytest.raises(ValueError, match="has no friction of kind 'dry'"):
         jc.MaximumLikelihood(presliding_distance=(0.1,)).fit(network, motion)
-
-
-def test_gears_that_give_way_are_not_combined_with_pre_sliding() -> None:
-    with pytest.raises(ValueError, match="transmission: not with presliding_distance"):
-        jc.MaximumLikelihood(transmission=(1,), presliding_distance=(0.1,))

@@ -15,7 +15,6 @@ from jaxcslc.likelihood import (
     EstimatorComparison,
     estimator_text,
     presliding_line,
-    transmission_lines,
 )
 from jaxcslc.recordings import Patterns
 from jaxcslc.uncertainty import HeldOut
@@ -311,8 +310,6 @@ class EstimatorSection(AbstractSection):
         if distance := estimators.get("lengths"):
             line = presliding_line(distance, report.model.output_units)
             text += f" {line[0].upper()}{line[1:]}."
-        if lines := transmission_lines(estimators.get("transmission")):
-            text += f" Estimated along: {'; '.join(lines)}."
         columns = [
             (Column(report.model.output_kind, numeric=False), report.model.output_names),
             *(

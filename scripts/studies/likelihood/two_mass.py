@@ -29,6 +29,7 @@ import sim
 from jaxcslc._text_table import text_table
 from jaxcslc.report import write_csv
 from scripts.studies import command
+from scripts.studies.likelihood.elastic_gears import fit_with_gears
 from scripts.studies.likelihood.two_masses import network_of_two_masses, two_masses
 from scripts.studies.rows import Rows, made_of
 
@@ -93,13 +94,14 @@ def rows_of(
 ) -> Iterator[dict[str, Any]]:
     """One row an estimator."""
     joints = tuple(range(1, len(truth.compliance) + 1))
-    options: dict[str, dict[str, Any]] = {
-        "apart": {"transmission": joints},
-        **_RIGID,
-    }
-    for estimator, values in options.items():
+    for estimator in ("apart", *_RIGID):
         started = time.process_time()
-        fit = jc.MaximumLikelihood(**values).fit(truth.network, recording)
+        options, gears = jc.MaximumLikelihood(**_RIGID.get(estimator, {})), None
+        if estimator == "apart":
+            apart = fit_with_gears(options, truth.network, recording, joints)
+            fit, gears = apart.fit, apart.gears
+        else:
+            fit = options.fit(truth.network, recording)
         row: dict[str, Any] = {
             "case": name,
             "seed": seed,
@@ -109,7 +111,7 @@ def rows_of(
             "converged": fit.converged,
             "seconds": time.process_time() - started,
         }
-        if gears := fit.transmission:
+        if gears is not None:
             row |= {
                 "joints": list(gears.joints),
                 "stiffness": (gears.stiffness * truth.compliance).tolist(),

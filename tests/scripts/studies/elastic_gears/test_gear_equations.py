@@ -5,8 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.likelihood import ElasticEquations, MotionEquations, TorqueRecord
-from jaxcslc.likelihood._gears import Stencil
+from jaxcslc.likelihood import MotionEquations, TorqueRecord
+from scripts.studies.likelihood.elastic_gears import ElasticEquations, Stencil
 
 
 TIME = np.array([0.0, 0.4, 1.0, 1.3])
