@@ -12,15 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ._band import add_equations, equation_changes, equation_gradients
-from ._columns import JointColumns
+from ._band import JointColumns, add_equations, equation_changes, equation_gradients
 from ._equations import AbstractEquations
+from ._laws import Intervals, Sticking, WorkingReadings
 from ._normal_equations import BandedEquations, Order
 from ._point import Point, Step
-from ._readings import Intervals, WorkingReadings
+from ._readings import TorqueRecord
 from ._signs import Signs
-from ._sticking import Sticking
-from ._torque_record import TorqueRecord
 
 
 # Prior standard deviation of a reversal about where velocity crosses zero, in intervals.

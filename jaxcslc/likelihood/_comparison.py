@@ -1,13 +1,14 @@
-"""Least squares and maximum likelihood next to each other, as a report has them."""
+"""Least squares and maximum likelihood next to each other, and the motion that judges them."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from ..uncertainty import RelativeError, Source
+from ..recordings import Recording
+from ..uncertainty import FEWEST_SAMPLES, RelativeError, Source, held_out_from
 from ._likelihood_fit import LikelihoodFit
 
 
@@ -127,3 +128,33 @@ def presliding_line(presliding_distance: Sequence[float], units: Sequence[str]) 
         if length > 0.0
     )
     return f"dry friction of both yields before it slides: {joints}"
+
+
+@dataclasses.dataclass(frozen=True)
+class LeftOut:
+    """Recordings without a last part, which judges the fits.
+
+    **Attributes**
+
+    - `early`: what is before that part of each.
+    - `rows`: (samples,) of all recordings, which are in `early`.
+    """
+
+    early: Sequence[Recording]
+    rows: Bool[np.ndarray, " samples"]
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording], every: int = 1) -> "LeftOut | None":
+        """Divide recordings; None where one is too short.
+
+        - `every`: rows are those of positions at every so many samples.
+        """
+        if min(recording.samples for recording in recordings) < FEWEST_SAMPLES:
+            return None
+        early: list[Recording] = []
+        rows: list[np.ndarray] = []
+        for recording in recordings:
+            split = held_out_from(recording) - float(recording.time[0])
+            early.append(recording.between(0.0, split))
+            rows.append(np.arange(0, recording.samples, every) < early[-1].samples)
+        return cls(early, np.concatenate(rows))

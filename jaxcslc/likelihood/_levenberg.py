@@ -6,9 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from ._linear import Linear
 from ._normal_equations import Factored
-from ._objective import Residuals
+from ._objective import Linear, Residuals
 from ._point import Point, Step
 from ._problem import LikelihoodProblem
 

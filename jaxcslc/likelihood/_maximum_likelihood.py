@@ -15,12 +15,10 @@ from ..recordings import Recording
 from ._likelihood_fit import LikelihoodFit, Misfit, likelihood_fit
 from ._point import Point
 from ._possible_bodies import possible_bodies
-from ._prior_values import check_prior
-from ._problem import LikelihoodProblem, SearchStart
+from ._problem import LikelihoodProblem, SearchStart, check_prior, starting_point
+from ._readings import TorqueSampling
 from ._search import Minimum, search
 from ._spacing import NoiseExcitation, SpacingChoice, excess_noise, spacing_for
-from ._start import starting_point
-from ._torque_record import TorqueSampling
 
 
 # A misfit is known well enough when the sum of squares falls by no more than this part in a step.

@@ -11,14 +11,12 @@ from jaxtyping import Float
 from ..bodies import PhysicalParameters, Prior, fixed_bodies, physical_parameters
 from ..least_squares import Errors, Identification
 from ..network import CSLC
-from ._levels import Levels
 from ._likelihood_fit import LikelihoodFit, likelihood_fit
-from ._linear import Linear
 from ._normal_equations import Factored
-from ._objective import Objective
+from ._objective import Linear, Objective
 from ._problem import LikelihoodProblem
 from ._search import Minimum, search, search_on
-from ._search_state import SearchState
+from ._search_state import Levels, SearchState
 
 
 # The sum of squares may bend more than its parabola by this part of it: then it falls in a step to

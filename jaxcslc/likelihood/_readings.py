@@ -1,27 +1,183 @@
-"""Readings of encoders: as recorded, and as the intervals that counts are."""
+"""Recordings as the equations of motion need them: positions, and averaged torques."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any, Literal
 
 import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 
-from .._chunks import over_chunks
 from ..recordings import Recording
-from ._torque_record import TorqueRecord, TorqueSampling
 
 
-# Edges further outside than this, in their widths, count by size and not by square (Huber).
-_OUTSIDE = 6.0
-# Least curvature, in inverse squares of a step: a reading amid its interval says nothing.
-_LEAST_CURVATURE = 1e-2
-# Readings further inside than this, in the same widths, say nothing: their probability rounds to 1.
-_INSIDE = 9.0
-# Readings that a thread computes.
-_CHUNK = 32_768
-# Terms of the exponential beyond which a normal density is nothing.
-_FAR = 38.0
+TorqueSampling = Literal["held", "sampled"]
+"""What a recorded torque is: held until the next sample, or the value at the sample's instant."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TorqueRecord:
+    """Recorded torques of one recording or of several, as the equations of motion need them.
+
+    The second difference of positions is the acceleration averaged with a triangle over the two
+    intervals that meet at a sample; torque in the same equation is averaged alike.
+
+    **Attributes**
+
+    - `times`: (samples,) of each recording [s]; `torques`: (samples, n) of each.
+    - `sampling`: what a recorded torque is.
+    - `every`: equations are at every so many samples; torque between them counts.
+
+    >>> import numpy as np
+    >>> line = np.arange(5.0)[:, None]
+    >>> record = TorqueRecord.of([Recording(np.arange(5.0), line, line)], "held")
+    >>> record.averaged[:, 0].tolist(), record.rate[:, 0].tolist()
+    ([0.5, 1.5, 2.5], [1.0, 1.0, 1.0])
+    """
+
+    times: tuple[Float[np.ndarray, " _"], ...]
+    torques: tuple[Float[np.ndarray, "_ joints"], ...]
+    sampling: TorqueSampling
+    every: int = 1
+
+    @classmethod
+    def of(
+        cls, recordings: Sequence[Recording], sampling: TorqueSampling, every: int = 1
+    ) -> "TorqueRecord":
+        """Join recordings of the same joints."""
+        return cls(
+            tuple(np.asarray(recording.time, float) for recording in recordings),
+            tuple(np.asarray(recording.torque, float) for recording in recordings),
+            sampling,
+            every,
+        )
+
+    @cached_property
+    def averaged(self) -> Float[np.ndarray, "equations joints"]:
+        """Torque of every equation; zeros where an equation spans two recordings."""
+
+        def values(time: np.ndarray, torque: np.ndarray) -> np.ndarray:
+            if self.sampling == "held":
+                return _held(time, torque, time[:: self.every], _remaining)
+            if self.every > 1:
+                return _integrated(time, torque, time[:: self.every], 2)
+            return triangle_mean(time, torque)
+
+        return self._of_each(values)
+
+    @property
+    def rate(self) -> Float[np.ndarray, "equations joints"]:
+        """The derivative of `averaged` by the time at which torques are taken [N m/s or N/s]."""
+
+        def values(time: np.ndarray, torque: np.ndarray) -> np.ndarray:
+            if self.sampling == "held":
+                return _held(time, torque, time[:: self.every], _density)
+            if self.every > 1:
+                return _integrated(time, torque, time[:: self.every], 1)
+            return triangle_mean(time, _spline(time, torque)(time, 1))
+
+        return self._of_each(values)
+
+    def _of_each(
+        self, values: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    ) -> Float[np.ndarray, "equations joints"]:
+        """Return values of each recording, with zeros for the two equations that span two
+        recordings."""
+        between = np.zeros((2, self.torques[0].shape[1]))
+        parts: list[np.ndarray] = []
+        for time, torque in zip(self.times, self.torques, strict=True):
+            parts += [between, values(time, torque)]
+        return np.concatenate(parts[1:])
+
+
+def _spline(
+    time: Float[np.ndarray, " samples"], torque: Float[np.ndarray, "samples joints"]
+) -> Any:
+    return scipy.interpolate.CubicSpline(time, torque)
+
+
+def _held(
+    time: Float[np.ndarray, " samples"],
+    torque: Float[np.ndarray, "samples joints"],
+    knots: Float[np.ndarray, " knots"],
+    weight: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+) -> Float[np.ndarray, "equations joints"]:
+    """Return the triangle's mean of steps: each step counts by the part of the triangle after it.
+
+    **Arguments**
+
+    - `knots`: of equations; each is over two intervals between them.
+    - `weight`: of a step, `_remaining`; or its derivative by the lag, `_density`.
+    """
+    start, middle, end = knots[:-2], knots[1:-1], knots[2:]
+    first = np.maximum(np.searchsorted(time, start, side="right"), 1)
+    last = np.searchsorted(time, end, side="left")  # the first step that is too late
+    result = torque[first - 1] if weight is _remaining else np.zeros_like(torque[first])
+    for number in range(max(int(np.max(last - first)), 0)):
+        index = np.minimum(first + number, len(time) - 1)
+        moment = time[index] - middle
+        share = np.where(first + number < last, weight(moment, middle - start, end - middle), 0.0)
+        result = result + share[:, None] * (torque[index] - torque[index - 1])
+    return result
+
+
+def _remaining(
+    moment: Float[np.ndarray, " equations"],
+    before: Float[np.ndarray, " equations"],
+    after: Float[np.ndarray, " equations"],
+) -> Float[np.ndarray, " equations"]:
+    """Return the part of a triangle over two intervals that is after a moment."""
+    early = 1.0 - np.square(np.maximum(moment + before, 0.0)) / (before * (before + after))
+    late = np.square(np.maximum(after - moment, 0.0)) / (after * (before + after))
+    return np.where(moment < 0.0, early, late)
+
+
+def _density(
+    moment: Float[np.ndarray, " equations"],
+    before: Float[np.ndarray, " equations"],
+    after: Float[np.ndarray, " equations"],
+) -> Float[np.ndarray, " equations"]:
+    """Return the height of a triangle over two intervals at a moment."""
+    side = np.where(moment < 0.0, (moment + before) / before, (after - moment) / after)
+    return 2.0 * np.maximum(side, 0.0) / (before + after)
+
+
+def _integrated(
+    time: Float[np.ndarray, " samples"],
+    torque: Float[np.ndarray, "samples joints"],
+    knots: Float[np.ndarray, " knots"],
+    times: int,
+) -> Float[np.ndarray, "equations joints"]:
+    """Return the triangle's mean of a spline: the second difference of its integral's integral.
+
+    **Arguments**
+
+    - `times`: how often it is integrated; once for the derivative by the lag.
+    """
+    integral = _spline(time, torque).antiderivative(times)(knots)
+    h = np.diff(knots)[:, None]
+    slopes = np.diff(integral, axis=0) / h
+    return 2.0 * np.diff(slopes, axis=0) / (h[:-1] + h[1:])
+
+
+def triangle_mean(
+    time: Float[np.ndarray, " samples"], torque: Float[np.ndarray, "samples joints"]
+) -> Float[np.ndarray, "equations joints"]:
+    """Return the mean of a parabola through three samples, from the triangle's mean and mean
+    square.
+
+    >>> import numpy as np
+    >>> triangle_mean(np.arange(5.0), np.arange(5.0)[:, None])[:, 0].tolist()
+    [1.0, 2.0, 3.0]
+    """
+    h = np.diff(time)[:, None]
+    before, after = h[:-1], h[1:]
+    rising, falling = np.diff(torque[1:], axis=0) / after, np.diff(torque[:-1], axis=0) / before
+    bend = (rising - falling) / (before + after)
+    slope = rising - bend * after
+    mean, mean_square = (after - before) / 3.0, (before**3 + after**3) / (before + after) / 6.0
+    return torque[1:-1] + slope * mean + bend * mean_square
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,131 +232,3 @@ class Readings:
     def recordings(self) -> int:
         """Number of recordings."""
         return int(self.part[-1]) + 1
-
-
-@dataclasses.dataclass(frozen=True)
-class WorkingReadings:
-    """A law of readings about residuals, as the weighted squares that have its derivatives.
-
-    **Attributes**
-
-    - `value`: (...), minus twice the logarithm of the density, up to a constant.
-    - `weight`: (...), half of its second derivative.
-    - `residual`: (...), half of its first derivative over `weight`.
-    """
-
-    value: Float[np.ndarray, "*shape"]
-    weight: Float[np.ndarray, "*shape"]
-    residual: Float[np.ndarray, "*shape"]
-
-    @property
-    def levels(self) -> Float[np.ndarray, "*shape"]:
-        """(...), of parabolas with these derivatives, the values at their vertices."""
-        return self.value - self.weight * self.residual**2
-
-
-@dataclasses.dataclass(frozen=True)
-class Intervals:
-    """Encoders' counts as what they are: the position is within one step, and nothing else.
-
-    Where the equations of motion say much more about a motion than single readings do, the edges of
-    these intervals are what is left to learn from. The probability of a reading is
-
-        Φ((step/2 - r) / s) - Φ(-(step/2 + r) / s)
-
-    with r the residual and s, the width of an edge, how well all readings say where the joint is.
-    Where s is not much less than a step, counts are normally distributed about positions as far as
-    anybody could tell, with a variance of step²/12.
-
-    **Attributes**
-
-    - `share`: (samples, n) of a reading that counts, 1 but for joints at rest.
-    - `step`: (samples, n) of the encoders [rad or m].
-    - `edge`: (samples, n) widths of edges in steps; 0 for normally distributed readings.
-    """
-
-    share: Float[np.ndarray, "samples joints"]
-    step: Float[np.ndarray, "samples joints"]
-    edge: Float[np.ndarray, "samples joints"]
-
-    def edges(self, part: Int[np.ndarray, " samples"]) -> Float[np.ndarray, "recordings joints"]:
-        """Return edges of each recording; `part`: number of the recording of each sample."""
-        return self.edge[np.unique(part, return_index=True)[1]]
-
-    def working(
-        self,
-        residual: Float[np.ndarray, "samples joints"],
-        weight: Float[np.ndarray, "samples joints"],
-    ) -> WorkingReadings:
-        """Return values and derivatives at residuals [rad or m]; `weight` of those without
-        intervals."""
-        value, weight, working = weight * residual**2, weight.copy(), residual.copy()
-        rows = self.edge > 0.0
-        step, share = self.step[rows], self.share[rows]
-        of_interval = interval(residual[rows] / step, self.edge[rows])
-        value[rows] = share * of_interval.value
-        weight[rows] = share * of_interval.weight / step**2
-        working[rows] = of_interval.residual * step
-        return WorkingReadings(value, weight, working)
-
-
-def interval(
-    residual: Float[np.ndarray, "*shape"], edge: Float[np.ndarray, "*shape"]
-) -> WorkingReadings:
-    """Return the law of readings that are intervals, residuals and edges in steps.
-
-    >>> import numpy as np
-    >>> interval(np.array([0.0, 0.49, 0.5, 0.53]), np.full(4, 0.01)).value.round(2).tolist()
-    [-0.0, 0.35, 1.39, 13.22]
-    """
-    result = np.zeros(residual.shape), np.full(residual.shape, _LEAST_CURVATURE), 0.0 * residual
-    flat = [np.ravel(x) for x in (residual, edge)]
-
-    def compute(first: int, last: int) -> None:
-        of_chunk = [x[first:last] for x in flat]
-        near = np.flatnonzero(np.abs(of_chunk[0]) > 0.5 - _INSIDE * of_chunk[1])
-        values = _near_edges(*(x[near] for x in of_chunk))
-        for of_all, of_near in zip(result, values, strict=True):
-            of_all.reshape(-1)[first:last][near] = of_near
-
-    over_chunks(compute, residual.size, _CHUNK)
-    return WorkingReadings(*result)
-
-
-def _near_edges(
-    residual: Float[np.ndarray, " readings"], edge: Float[np.ndarray, " readings"]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return values, weights and residuals of `interval`."""
-    size = np.abs(residual)
-    outside = np.maximum(size - 0.5 - _OUTSIDE * edge, 0.0)
-    inside = size - outside
-    far, near = np.minimum((0.5 + inside) / edge, _FAR), np.minimum((0.5 - inside) / edge, _FAR)
-    probability = scipy.special.ndtr(near) - scipy.special.ndtr(-far)
-    density_far, density_near = np.exp(-0.5 * far**2), np.exp(-0.5 * near**2)
-    root = np.sqrt(2.0 * np.pi) * edge * probability
-    score = (density_near - density_far) / root
-    bend = (near * density_near + far * density_far) / (root * edge)
-    # The first derivative stays what it is further outside, and the weight is a secant's.
-    curvature = (score**2 + bend) / (1.0 + outside / (_OUTSIDE * edge))
-    curvature = np.maximum(curvature, _LEAST_CURVATURE)
-    value = -2.0 * np.log(probability) + 2.0 * score * outside
-    return value, curvature, np.copysign(score, residual) / curvature
-
-
-def score_share(edge: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """Return the variance of scores over their mean curvature, were edges sharp; 1 for none.
-
-    The width of an edge stands for what is not known of the position, not for noise: positions are
-    inside their intervals. So errors are smaller than a law says in which they may be outside.
-
-    >>> import numpy as np
-    >>> score_share(np.array([0.0, 0.01])).round(2).tolist()
-    [1.0, 0.41]
-    """
-    result = np.ones_like(edge)
-    position = np.linspace(-0.5, 0.5, 4001)
-    for width in np.unique(edge[edge > 0.0]):
-        working = interval(position, np.full_like(position, width))
-        squares = np.mean((working.weight * working.residual) ** 2)
-        result[edge == width] = squares / np.mean(working.weight)
-    return result

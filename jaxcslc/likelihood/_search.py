@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..network import CoupledTerm
-from ._levels import Levels, NoiseDraws, hidden_noise, noise_levels, position_errors
 from ._levenberg import (
     AT_KINK,
     DAMPING,
@@ -17,20 +16,24 @@ from ._levenberg import (
     LinearMinimum,
     levenberg_step,
 )
-from ._linear import Linear
 from ._normal_equations import Factored
-from ._objective import Objective, Residuals
+from ._objective import Linear, Objective, Residuals
 from ._point import Point
 from ._problem import LikelihoodProblem
 from ._search_state import (
     MARGINS,
     SIGN_STEPS,
+    Levels,
     Mask,
+    NoiseDraws,
     SearchState,
     Stage,
+    hidden_noise,
     intervals_of,
+    noise_levels,
     objective_of,
     outlier_weights,
+    position_errors,
     with_signs,
 )
 from ._signs import dilated

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..network import CSLC
-from ._columns import JointColumns
-from ._linear import Linear
+from ._band import JointColumns
 from ._normal_equations import Factored, Spectrum
+from ._objective import Linear
 from ._problem import LikelihoodProblem
 from ._search import Minimum
 

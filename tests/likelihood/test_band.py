@@ -10,8 +10,7 @@ from numpy.testing import assert_allclose
 
 from jaxcslc.likelihood import (
     JointColumns,
-    _band as _assembly,
-    _band as _products,
+    _band,
     _normal_equations as _triangle,
     add_equations,
     equation_changes,
@@ -35,8 +34,7 @@ def code(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any
 @pytest.fixture(params=[1000, 5], ids=["alone", "in chunks"])
 def chunk(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """One thread for all equations, and several, which share samples."""
-    for module in (_assembly, _products):
-        monkeypatch.setattr(module, "_CHUNK", request.param)
+    monkeypatch.setattr(_band, "_CHUNK", request.param)
 
 
 @pytest.mark.usefixtures("code", "chunk")

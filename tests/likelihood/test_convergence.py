@@ -10,13 +10,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 import jaxcslc as jc
 from jaxcslc.likelihood import Minimum, SearchState, search, search_on
 from jaxcslc.likelihood._levenberg import PROMISE, LinearMinimum
-from jaxcslc.likelihood._linear import Linear
+from jaxcslc.likelihood._objective import Linear
 from jaxcslc.likelihood._point import Point
 from jaxcslc.likelihood._possible_bodies import Profile
-from jaxcslc.likelihood._problem import LikelihoodProblem
+from jaxcslc.likelihood._problem import LikelihoodProblem, starting_point
 from jaxcslc.likelihood._search import with_common_shafts, with_intervals
 from jaxcslc.likelihood._search_state import SIGN_STEPS, Stage, objective_of, with_signs
-from jaxcslc.likelihood._start import starting_point
 from tests import arms
 
 

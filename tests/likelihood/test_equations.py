@@ -23,8 +23,7 @@ from jaxcslc.likelihood._blocks import (
     RestBlock,
     ReversalBlock,
 )
-from jaxcslc.likelihood._linear import Linear
-from jaxcslc.likelihood._objective import Objective
+from jaxcslc.likelihood._objective import Linear, Objective
 from jaxcslc.likelihood._point import Point, Step
 from jaxcslc.likelihood._signs import LATEST_TURN, Signs
 from tests import arms

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.special import ndtr
 
-from jaxcslc.likelihood._readings import Intervals, interval, score_share
+from jaxcslc.likelihood._laws import Intervals, interval, score_share
 
 
 EDGE = 0.03

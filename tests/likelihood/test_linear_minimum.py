@@ -9,13 +9,11 @@ from numpy.testing import assert_allclose
 
 from jaxcslc.likelihood import MotionEquations, TorqueRecord
 from jaxcslc.likelihood._blocks import MotionBlock, PriorBlock, ReadingBlock, ReversalBlock
+from jaxcslc.likelihood._laws import Intervals, Sticking
 from jaxcslc.likelihood._levenberg import LinearMinimum
-from jaxcslc.likelihood._linear import Linear
-from jaxcslc.likelihood._objective import Objective, Residuals
+from jaxcslc.likelihood._objective import Linear, Objective, Residuals
 from jaxcslc.likelihood._point import Point, Step
-from jaxcslc.likelihood._readings import Intervals
 from jaxcslc.likelihood._signs import Signs
-from jaxcslc.likelihood._sticking import Sticking
 from tests import arms
 
 

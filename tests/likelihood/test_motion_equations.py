@@ -62,7 +62,7 @@ def test_they_are_those_in_jax(arm: jc.CSLC, chunk: int, monkeypatch: pytest.Mon
 def test_more_operations_than_a_compiler_takes_are_those_of_numpy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("jaxcslc.likelihood._smooth_torque._MOST_COMPILED", 3)
+    monkeypatch.setattr("jaxcslc.likelihood._equations._MOST_COMPILED", 3)
     robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0), name="swing")
     network = jc.derive(robot.with_friction("viscous"), lengths="numeric")
     q, ones = np.sin(0.03 * np.arange(12.0))[:, None], np.ones((10, 1))

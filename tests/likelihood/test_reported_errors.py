@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from jaxcslc.likelihood import RowSums
-from jaxcslc.likelihood._reported_errors import Whiteness, cosine_sums
+from jaxcslc.likelihood._likelihood_fit import Whiteness, cosine_sums
 
 
 COMPONENTS, SAMPLES, COLUMNS = 12, 600, 8

@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.likelihood import search
-from jaxcslc.likelihood._start import starting_point
-from jaxcslc.likelihood._sticking import bound, sticking_equations
+from jaxcslc.likelihood._laws import bound, sticking_equations
+from jaxcslc.likelihood._problem import starting_point
 from tests import arms
 
 
