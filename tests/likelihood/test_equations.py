@@ -13,7 +13,7 @@ from jaxcslc.likelihood import (
     MotionEquations,
     RowSums,
     TorqueRecord,
-    _reported_errors as _rows,
+    _likelihood_fit as _rows,
     eliminated_rows,
 )
 from jaxcslc.likelihood._blocks import (
