@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from scripts.tools.api_names import description, with_descriptions
 from scripts.tools.docstring_examples import fenced
 
 
@@ -30,6 +31,24 @@ def test_lists_what_the_package_exports(page: str) -> None:
     package = "sim" if page == "sim" else f"jaxcslc.{page}"
     listed = re.findall(rf"^::: {re.escape(package)}\.(\w+)$", text, re.MULTILINE)
     assert set(listed) == public_names(package)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_name_is_described_in_one_line(page: str) -> None:
+    package = page if page in ("jaxcslc", "sim") else f"jaxcslc.{page}"
+    described = {name: description(package, name) for name in public_names(package)}
+    wrong = {
+        name: text for name, text in described.items() if not re.fullmatch(r".{10,}[.?]", text)
+    }
+    assert wrong == {}, "expected a docstring, or a string below the constant"
+
+
+def test_descriptions_are_put_into_the_pages() -> None:
+    of_package = with_descriptions((ROOT / "docs" / "api" / "checks.md").read_text("utf-8"))
+    assert "| [`check`][jaxcslc.checks.check] | " in of_package
+    of_all = with_descriptions((ROOT / "docs" / "api" / "jaxcslc.md").read_text("utf-8"))
+    text = description("jaxcslc.network", "derive")
+    assert f"| [`jc.derive`][jaxcslc.network.derive] | {text} | [network](network.md) |" in of_all
 
 
 def test_every_package_has_its_page() -> None:

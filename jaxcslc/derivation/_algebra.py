@@ -40,6 +40,7 @@ from ._tables import (
 
 
 Lengths = Literal["symbolic", "numeric"] | tuple[str, ...]
+"""Lengths that stay symbols: all, none, or those named."""
 
 
 @dataclass(frozen=True, eq=False)

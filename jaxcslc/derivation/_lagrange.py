@@ -22,6 +22,8 @@ from ._polynomials import Monomial, PositionRing, SparsePolynomial, product_text
 # The ten numbers that a rigid body's dynamics are linear in: inertia tensor about the frame's
 # origin, first moments, mass.
 BODY = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz", "hx", "hy", "hz", "m")
+"""Names of the ten numbers that a rigid body's dynamics are linear in: inertia tensor about the
+frame's origin, first moments, mass."""
 _AXES = ("x", "y", "z")
 _FIRST_MOMENTS = BODY[6:9]
 _CENTRE = ("rx", "ry", "rz")

@@ -151,6 +151,7 @@ ARMS: Mapping[str, Arm] = {
         columns=_universal_robots,
     ),
 }
+"""Arms of `jaxcslc example` by name."""
 
 
 def write_example(arm: str, folder: str | Path) -> Example:

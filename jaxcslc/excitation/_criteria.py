@@ -33,6 +33,7 @@ Criterion = Literal[
     "overall", "error", "worst", "torque", "bodies", "A", "D", "E", "condition", "scaled_condition"
 ]
 CRITERIA: tuple[Criterion, ...] = get_args(Criterion)
+"""Names of the criteria that a design can minimise."""
 ON_TASK = ("overall", "torque")  # criteria that a task enters
 EXPLANATIONS: dict[str, str] = {
     "overall": "geometric mean of standard error over size and of torque errors on the task",
@@ -46,6 +47,7 @@ EXPLANATIONS: dict[str, str] = {
     "condition": "condition number of the regressor in SI units",
     "scaled_condition": "condition number of the regressor with columns of unit length",
 }
+"""What each criterion is, in words."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

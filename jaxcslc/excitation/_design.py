@@ -44,6 +44,7 @@ from ._search import DesignProblem, Search
 
 FamilyName = Literal["splines", "fourier", "periodic", "moves"]
 FAMILIES: tuple[FamilyName, ...] = get_args(FamilyName)
+"""Names of the families of motions."""
 
 # Of families' parameters, by the duration [s].
 _KNOT, _HARMONIC, _MOVE = 0.35, 0.6, 1.1

@@ -26,6 +26,7 @@ from ._minimum import Fixed, Numbers, Solution
 
 
 Errors = Literal["independent", "correlated"]
+"""Models of the residuals' errors, for standard errors."""
 ERRORS: tuple[str, ...] = get_args(Errors)
 Result = TypeVar("Result")
 

@@ -14,6 +14,7 @@ from ._minimum import Fixed, Numbers, Solution, minimum, minimum_coefficients
 
 
 Loss = Literal["squared", "huber", "bisquare"]
+"""Names of the losses."""
 LOSSES: tuple[str, ...] = get_args(Loss)
 
 # In standard deviations. With these a fit to normal noise has 95 % of the efficiency of ordinary

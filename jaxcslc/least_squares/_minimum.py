@@ -30,6 +30,7 @@ _SHARE = 1e-6
 Numbers = Any
 
 Previous = Identification | Float[Array | np.ndarray, " coefficients"]
+"""Result of an earlier identification, or its coefficients alone."""
 
 
 class Fixed(eqx.Module):
@@ -121,6 +122,7 @@ def check_nothing_known(network: AbstractLinearNetwork, what: str) -> None:
 JointWeights = (
     Literal["equal", "residual"] | tuple[float, ...] | Float[Array | np.ndarray, " joints"]
 )
+"""Weights of the joints' equations: equal, by residual, or given."""
 
 
 class Solution(NamedTuple):

@@ -22,8 +22,10 @@ FRICTION_TERMS = (
     "load",
     "directional_load",
 )
+"""Names of the friction terms that a joint may have."""
 # Of joints whose slope is not known: static friction decays to 5 % at 0.3 rad/s [s/rad].
 STATIC_SLOPE = 10.0
+"""Slope of static friction over speed where a robot file has none [s/rad]."""
 # Kinds whose inputs are collinear, and why: a fit could not separate their coefficients.
 _COLLINEAR = (
     ("viscous", "asymmetric_viscous", "asymmetric_viscous is viscous in either direction"),

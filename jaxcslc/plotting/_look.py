@@ -12,8 +12,11 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's palette, which colour-blind readers can tell apart. Measurements are a broad grey.
 COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""Colours that colour-blind readers can tell apart (Okabe and Ito)."""
 STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)))
+"""Styles of lines, in the order of the colours."""
 MEASURED = "0.65"
+"""Grey of measured curves."""
 
 
 def new_figure(width: float, height: float) -> "Figure":

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 
 Tone = Literal["good", "caution", "bad", "plain"]
+"""Whether a sentence is good or bad news."""
 Value = str | float | int | None
+"""What a cell of a table holds."""
 
 
 class AbstractBlock(abc.ABC):

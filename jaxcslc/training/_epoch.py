@@ -46,6 +46,7 @@ ENDINGS = {
     "diverged": OUTCOMES.diverged,
     "stalled": OUTCOMES.stalled,
 }
+"""Outcomes of trainings, by their words."""
 
 
 class History(eqx.Module):

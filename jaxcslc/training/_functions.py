@@ -62,14 +62,14 @@ def _tanh_slope(s: Values) -> Values:
 
 INFINITE = float("inf")
 
-#: Zero or one (Eqn. 3.3-2): the historical node; only the perceptron rule trains it.
 HARD_LIMITER = Activation("hard limiter", _step, None, 0.0, 1.0)
-#: The sum itself (3.3.2): one minimum, and all that a CSLC is made of.
+"""Zero or one (Eqn. 3.3-2): the historical node, which only the perceptron rule trains."""
 LINEAR_COMBINER = Activation("linear combiner", _identity, jnp.ones_like, -INFINITE, INFINITE)
-#: 1 / (1 + exp(-s)) (3.3.3).
+"""The sum itself (3.3.2): one minimum, and all that a CSLC is made of."""
 LOGISTIC = Activation("logistic", jax.nn.sigmoid, _logistic_slope, 0.0, 1.0)
-#: tanh(s) (3.3.3).
+"""The function 1 / (1 + exp(-s)) (3.3.3)."""
 HYPERBOLIC_TANGENT = Activation("hyperbolic tangent", jnp.tanh, _tanh_slope, -1.0, 1.0)
+"""The function tanh(s) (3.3.3)."""
 
 ACTIVATIONS = {
     "hard limiter": HARD_LIMITER,
@@ -121,8 +121,9 @@ def activation_named(activation: str | Activation) -> Activation:
 
 
 Errors = Float[Array, "outputs patterns"]
-#: Errors (o, patterns), and ones where they count and zeros elsewhere, to one number.
 Cost = Callable[[Errors, Errors], Float[Array, ""]]
+"""Function of the errors (o, patterns), and of ones where they count and zeros elsewhere, to one
+number."""
 
 
 def mean_modulus(errors: Errors, counts: Errors) -> Float[Array, ""]:

@@ -22,6 +22,7 @@ from sim.trajectory._torques import AbbreviatedGravity, HandRepulsion, Repulsion
 # still 0.24 m or more from its middle line.
 _FLOOR = -0.6718
 FLANGE = 0.05625
+"""Distance of the PUMA 560's flange from its wrist centre [m]."""
 _TRUNK_RADIUS = 0.25
 _TRUNK_TOP = 0.2
 # See `adjusted_training`.
