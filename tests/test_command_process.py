@@ -3,8 +3,12 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
+import numpy as np
 import pytest
+
+import jaxcslc as jc
 
 
 _PROGRAM = """
@@ -62,3 +66,22 @@ main()
     command = [sys.executable, "-c", program, "derive", "arm.toml"]
     done = subprocess.run(command, capture_output=True, text=True, env=dict(os.environ))
     assert (done.returncode, done.stderr) == (130, "jaxcslc: interrupted\n")
+
+
+def test_no_result_is_lost_to_a_name_a_terminal_or_a_compiler(tmp_path: Path) -> None:
+    """A byte that is no UTF-8, a terminal that has ASCII alone, a CC that is no command line."""
+    folder = tmp_path / os.fsdecode(b"arm\xff")
+    folder.mkdir()
+    arm = "gravity = [0, -9.81, 0]\n[[joint]]\n"
+    (folder / "arm.toml").write_text(arm)
+    network = jc.derive(jc.load_robot(folder / "arm.toml"))
+    time = 0.01 * np.arange(600)
+    q, qdd = np.sin(3.0 * time)[:, None], -9.0 * np.sin(3.0 * time)[:, None]
+    torque = np.asarray(network.torque(np.linspace(0.5, 1.5, network.size), q, q, qdd))
+    jc.save_recording(jc.Recording(time, q, torque), folder / "log.csv")
+    command = [sys.executable, "-m", "jaxcslc", "identify", "arm.toml", "log.csv", "-o", "results"]
+    environment = dict(os.environ, PYTHONIOENCODING="ascii", CC='"cc')
+    done = subprocess.run(command, cwd=folder, capture_output=True, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert b"\\u2713" in done.stdout  # a tick
+    assert (folder / "results" / "index.html").exists()

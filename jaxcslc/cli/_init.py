@@ -72,7 +72,9 @@ def init_command(
     if robot.source is not None and robot.source.format != "toml":
         found.entries["friction"] = list(robot.friction_terms)
     with unfinished(path) as scratch:
-        scratch.write_text(_text(found.entries, file, log), encoding="utf-8")
+        scratch.write_text(
+            _text(found.entries, file, log), encoding="utf-8", errors="backslashreplace"
+        )
     findings = [f"still wrong: {one}" for one in page.findings]
     closing = [
         f"To change a decision, edit the entry in {FILE} (docs/command.md). Next:",

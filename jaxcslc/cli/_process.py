@@ -6,6 +6,7 @@ reference `panda` of `scripts.tools.references` runs it, with and without each s
 
 import atexit
 import gc
+import io
 import os
 import signal
 import sys
@@ -22,8 +23,11 @@ def prepare_process() -> None:
     """Set the process up for arithmetic with small matrices and long columns.
 
     Garbage is not collected until `collect_garbage` is called: imports leave none. SIGTERM ends the
-    process as Ctrl-C does, so that no scratch is left.
+    process as Ctrl-C does, so that no scratch is left. What a terminal's encoding lacks is escaped.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     # Matrices are small: more threads of BLAS only wait for each other. On two cores they took 1.8
     # of the 9.9 s of processor time of an identification of 3,300 samples.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -226,7 +226,10 @@ def _compiler() -> str:
 
 def _command(source: str, options: tuple[str, ...], compiler: str) -> tuple[list[str], str]:
     """The compiler's command, empty without one, and the key under which the library is kept."""
-    command = shlex.split(compiler)
+    try:
+        command = shlex.split(compiler)
+    except ValueError:  # a quotation that does not end
+        command = []
     program = shutil.which(command[0]) if command else None
     if program is None:
         return [], ""

@@ -291,7 +291,7 @@ def save_design(
     )
     for target, text in zip(paths, texts, strict=True):
         with unfinished(target) as file:
-            file.write_text(text, encoding="utf-8")
+            file.write_text(text, encoding="utf-8", errors="backslashreplace")
     return paths
 
 

@@ -71,7 +71,11 @@ def write_motor_inertias(robot: str | Path, inertias: Mapping[str, float]) -> Pa
     path, name = motor_file(robot), _quoted(Path(robot).name)
     lines = [f'"{_quoted(joint)}" = {float(value)!r}' for joint, value in inertias.items()]
     with unfinished(path) as file:
-        file.write_text(_HEADER.format(name=name) + "\n".join(lines) + "\n", encoding="utf-8")
+        file.write_text(
+            _HEADER.format(name=name) + "\n".join(lines) + "\n",
+            encoding="utf-8",
+            errors="backslashreplace",
+        )
     return path
 
 

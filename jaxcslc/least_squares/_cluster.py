@@ -272,7 +272,10 @@ class Fleet:
         """Writes the rows as CSV, numbers in full precision."""
         rows = self.rows()
         lines = [list(rows[0]), *([*row.values()] for row in rows)] if rows else []
-        with unfinished(Path(path)) as file, file.open("w", newline="", encoding="utf-8") as text:
+        with (
+            unfinished(Path(path)) as file,
+            file.open("w", newline="", encoding="utf-8", errors="backslashreplace") as text,
+        ):
             csv.writer(text).writerows(lines)
 
 

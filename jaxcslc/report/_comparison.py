@@ -87,7 +87,7 @@ class ReportComparison:
         - `OSError`: the file cannot be written.
         """
         with unfinished(Path(path)) as file:
-            file.write_text(render(self.page()), encoding="utf-8")
+            file.write_text(render(self.page()), encoding="utf-8", errors="backslashreplace")
 
     def __str__(self) -> str:
         _, headline, messages = self.verdict

@@ -32,7 +32,7 @@ def write_report(
     """
     with all_or_nothing(folder) as scratch:
         page = render(report.page(charts=pictures))
-        (scratch / "index.html").write_text(page, encoding="utf-8")
+        (scratch / "index.html").write_text(page, encoding="utf-8", errors="backslashreplace")
         for section in report.sections:
             for name, rows in section.tables(report).items():
                 write_csv(scratch / name, rows)
@@ -40,7 +40,7 @@ def write_report(
         write_json(scratch / identification[0], identification[1])
         for name, entries in drawings:  # nobody reads these numbers
             text = json.dumps(entries, separators=(",", ":"), allow_nan=False)
-            (scratch / name).write_text(text, encoding="utf-8")
+            (scratch / name).write_text(text, encoding="utf-8", errors="backslashreplace")
         for name in report.patterns:
             _write_torque(scratch / _torque_file(name, report.model.output_quantity), report, name)
         written = {path.name for path in scratch.iterdir()}
@@ -89,7 +89,7 @@ def _write_torque(path: Path, report: "AbstractReport[Any]", recording: str) -> 
     masks[:, ::2] = np.where(mask, ord("1"), ord("0"))
     masks[:, -1] = ord("\n")
     ends = masks.view(f"S{masks.shape[1]}").ravel().astype(str).tolist()
-    with path.open("w", encoding="utf-8", newline="\n") as file:
+    with path.open("w", encoding="utf-8", errors="backslashreplace", newline="\n") as file:
         file.write(",".join(["time", *header]) + "\n")
         file.writelines(
             row % (*values, end) for values, end in zip(numbers.tolist(), ends, strict=True)
@@ -98,7 +98,7 @@ def _write_torque(path: Path, report: "AbstractReport[Any]", recording: str) -> 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Rows as CSV, numbers in full precision."""
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with path.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file:
         writer = csv.DictWriter(file, fieldnames=list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
@@ -107,4 +107,4 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 def write_json(path: Path, document: Mapping[str, Any]) -> None:
     """A document as JSON; numbers that JSON cannot represent become null."""
     text = json.dumps(plain(document), indent=2, ensure_ascii=False, allow_nan=False)
-    path.write_text(f"{text}\n", encoding="utf-8")
+    path.write_text(f"{text}\n", encoding="utf-8", errors="backslashreplace")

@@ -2,6 +2,7 @@
 
 import decimal
 import io
+import os
 import zipfile
 from pathlib import Path
 
@@ -292,3 +293,10 @@ class TestNumpy:
             archive.writestr("time.npy", header.getvalue() + bytes(80))
         with pytest.raises(RecordingError, match=r"time\.npy claims 8e\+15 bytes, .* 208 at most"):
             load_recording(path)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_a_name_that_is_no_utf8(motion: Recording, tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / os.fsdecode(b"log\xff" + suffix.encode())
+    save_recording(motion, path)
+    np.testing.assert_array_equal(load_recording(path).position, motion.position)

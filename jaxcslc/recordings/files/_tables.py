@@ -13,7 +13,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -143,13 +143,16 @@ def write_tables(tables: Iterable[Table], unfinished: Path, path: Path) -> None:
     first = next(arrow, None)
     if first is None:
         raise RecordingError(f"{path}: no parts of a recording to write; expected one or more")
-    if unfinished.suffix.lower() == ".parquet":
-        # Measured values hardly ever repeat: a dictionary of them would only be dropped again.
-        writer = pq.ParquetWriter(unfinished, first.schema, use_dictionary=False)
-    else:
-        unquoted = pacsv.WriteOptions(quoting_header="none")
-        writer = pacsv.CSVWriter(unfinished, first.schema, write_options=unquoted)
-    with writer:
+    # Arrow opens no path that is not UTF-8.
+    with contextlib.ExitStack() as stack:
+        file = stack.enter_context(unfinished.open("wb"))
+        if unfinished.suffix.lower() == ".parquet":
+            # Measured values hardly ever repeat: a dictionary of them would only be dropped again.
+            writer = pq.ParquetWriter(file, first.schema, use_dictionary=False)
+        else:
+            unquoted = pacsv.WriteOptions(quoting_header="none")
+            writer = pacsv.CSVWriter(file, first.schema, write_options=unquoted)
+        stack.enter_context(writer)
         for table in itertools.chain([first], arrow):
             if table.schema != first.schema:
                 raise RecordingError(
@@ -240,7 +243,7 @@ def _read_npz(path: Path) -> tuple[Header, Columns]:
                     " torque"
                 )
             stack.enter_context(contextlib.closing(file))
-            _check_sizes(file.zip)
+            _check_sizes(path)
             arrays = {name: np.asarray(file[name]) for name in file.files}
     except (RecordingError, PermissionError):
         raise
@@ -265,29 +268,35 @@ def _read_npz(path: Path) -> tuple[Header, Columns]:
 _MOST_DEFLATED = 1032
 
 
-def _check_sizes(archive: zipfile.ZipFile) -> None:
+def _check_sizes(path: Path) -> None:
     """Check that arrays are no larger than their members, before memory is taken for them.
 
     **Raises** `ValueError` for an array that claims more.
     """
-    for member in archive.infolist():
-        with archive.open(member) as stream:
-            if stream.read(len(np.lib.format.MAGIC_PREFIX)) != np.lib.format.MAGIC_PREFIX:
-                continue  # no array: NumPy gives its bytes
-            stream.seek(0)
-            version = np.lib.format.read_magic(stream)
-            if version == (1, 0):
-                shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
-            elif version == (2, 0):
-                shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
-            else:  # of fields whose names are no Latin-1
-                raise ValueError(f"{member.filename} has fields; expected an array of numbers")
-        size = math.prod(shape) * dtype.itemsize
-        if size > min(member.file_size, _MOST_DEFLATED * member.compress_size):
-            raise ValueError(
-                f"{member.filename} claims {size:.3g} bytes, its part of the file holds"
-                f" {member.file_size:.3g} at most"
-            )
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            with archive.open(member) as stream:
+                claimed = _claimed_bytes(member.filename, stream)
+            if claimed > min(member.file_size, _MOST_DEFLATED * member.compress_size):
+                raise ValueError(
+                    f"{member.filename} claims {claimed:.3g} bytes, its part of the file holds"
+                    f" {member.file_size:.3g} at most"
+                )
+
+
+def _claimed_bytes(name: str, stream: IO[bytes]) -> int:
+    """Return the size that the header of an array says; 0 of what is no array."""
+    if stream.read(len(np.lib.format.MAGIC_PREFIX)) != np.lib.format.MAGIC_PREFIX:
+        return 0
+    stream.seek(0)
+    version = np.lib.format.read_magic(stream)
+    if version == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+    elif version == (2, 0):
+        shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
+    else:  # of fields whose names are no Latin-1
+        raise ValueError(f"{name} has fields; expected an array of numbers")
+    return math.prod(shape) * dtype.itemsize
 
 
 def _array(column: pa.Array) -> np.ndarray:
@@ -302,7 +311,7 @@ def _array(column: pa.Array) -> np.ndarray:
 def _open_parquet(path: Path) -> _File:
     """Open a Parquet file of numbers, decimals and time stamps."""
     try:
-        with pq.ParquetFile(path) as file:
+        with path.open("rb") as stream, pq.ParquetFile(stream) as file:
             schema = file.schema_arrow
     except PermissionError:
         raise
@@ -335,7 +344,10 @@ def _parquet_pieces(path: Path, types: dict[str, pa.DataType]) -> Iterator[Colum
     row = 0
     try:
         # Buffered reading takes pages as they are needed; a row group may be the whole file.
-        with pq.ParquetFile(path, buffer_size=_READ_BYTES, pre_buffer=False) as file:
+        with (
+            path.open("rb") as stream,
+            pq.ParquetFile(stream, buffer_size=_READ_BYTES, pre_buffer=False) as file,
+        ):
             batches = file.iter_batches(
                 batch_size=ROW_GROUP // 4, columns=list(types), use_threads=False
             )
