@@ -74,15 +74,7 @@ def identify_system(
     network = system.network
     recordings = {"training": training} | ({} if validation is None else {"validation": validation})
     step("preparing patterns")
-    patterns: dict[str, Patterns] = {}
-    for name, recording in recordings.items():
-        try:
-            if settings is None:
-                settings = system_settings(system, recording)
-            patterns[name] = system_patterns(system, recording, settings.preparation)
-        except ValueError as error:
-            raise ValueError(f"{name} recording: {error}") from None
-    assert settings is not None
+    settings, patterns = _prepared(system, recordings, settings)
     search = None
     if system.nonlinear:
         step("searching constants")
@@ -102,10 +94,7 @@ def identify_system(
     simulation: Simulation | str | None = None
     if validation is not None:
         step("simulating")
-        try:
-            simulation = simulate_system(system, fit.k, patterns["validation"], network=network)
-        except DescriptionError as error:
-            simulation = str(error)
+        simulation = _simulated(network, fit, patterns["validation"])
     step("computing errors")
     constants = constants_from(system, fit)
     errors = {name: compare(network, values, {"fit": fit.k}) for name, values in patterns.items()}
@@ -166,6 +155,29 @@ def system_settings(system: System, recording: SystemRecording) -> Settings:
     sections = any(system.signs)
     spacing = choose_spacing(recording.time, position, candidates=candidates, sections=sections)
     return Settings(Preparation(AveragedSplines(spacing, sections)))
+
+
+def _prepared(
+    system: System, recordings: Mapping[str, SystemRecording], settings: Settings | None
+) -> tuple[Settings, dict[str, Patterns]]:
+    """Return the settings, by default those of the first recording, and patterns by recording."""
+    patterns: dict[str, Patterns] = {}
+    for name, recording in recordings.items():
+        try:
+            settings = settings or system_settings(system, recording)
+            patterns[name] = system_patterns(system, recording, settings.preparation)
+        except ValueError as error:
+            raise ValueError(f"{name} recording: {error}") from None
+    assert settings is not None
+    return settings, patterns
+
+
+def _simulated(network: SystemNetwork, fit: Identification, patterns: Patterns) -> Simulation | str:
+    """Return the simulation of an identified system, or why it cannot be simulated."""
+    try:
+        return simulate_system(network.system, fit.k, patterns, network=network)
+    except DescriptionError as error:
+        return str(error)
 
 
 def _correction(

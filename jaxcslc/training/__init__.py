@@ -23,7 +23,6 @@ from ._epoch import (
     ENDINGS as ENDINGS,
     OUTCOMES as OUTCOMES,
     History as History,
-    Record as Record,
     Training as Training,
     TrainingState as TrainingState,
 )
@@ -125,7 +124,6 @@ __all__ = [
     "Presentation",
     "Pruning",
     "RadialBasis",
-    "Record",
     "RegressorInputs",
     "Schedule",
     "Signals",

@@ -1,6 +1,6 @@
 """One epoch of a training: assess, decide whether to go on and by which rule, and learn.
 
-`TrainingState` is what passes from epoch to epoch, `Record` is what the history keeps, and
+`TrainingState` is what passes from epoch to epoch, `History` is what is kept of epochs, and
 `Training` is the result. `_train` runs epochs; `_plan` states the rules.
 """
 
@@ -64,12 +64,12 @@ class History(eqx.Module):
     - `weights`: (..., epochs, p), or none if they were not asked for.
     """
 
-    cost: Float[Array | np.ndarray, "*trainings epochs"]
-    measure: Float[Array | np.ndarray, "*trainings epochs"]
-    stop_cost: Float[Array | np.ndarray, "*trainings epochs"]
-    rule: Int[Array | np.ndarray, "*trainings epochs"]
-    rates: Float[Array | np.ndarray, "*trainings epochs groups"]
-    weights: Float[Array | np.ndarray, "*trainings epochs weights"] | None
+    cost: Float[Array | np.ndarray, "..."]
+    measure: Float[Array | np.ndarray, "..."]
+    stop_cost: Float[Array | np.ndarray, "..."]
+    rule: Int[Array | np.ndarray, "..."]
+    rates: Float[Array | np.ndarray, "... groups"]
+    weights: Float[Array | np.ndarray, "... weights"] | None
 
 
 class Training(eqx.Module):
@@ -166,23 +166,6 @@ class TrainingState(eqx.Module):
         return self.outcome != OUTCOMES.running
 
 
-class Record(eqx.Module):
-    """Entry of an epoch in the history, as it stood before the epoch moved the weights.
-
-    Of several epochs, and of many trainings, with axes of them in front.
-
-    - `rule`: index of the rule that learnt in the epoch, -1 if the training had ended.
-    - `rates`: that it learnt with.
-    """
-
-    cost: Float[Array | np.ndarray, "..."]
-    measure: Float[Array | np.ndarray, "..."]
-    stop_cost: Float[Array | np.ndarray, "..."]
-    rule: Int[Array | np.ndarray, "..."]
-    rates: Float[Array | np.ndarray, "... groups"]
-    weights: Float[Array | np.ndarray, "... weights"] | None
-
-
 def epoch(
     network: AdaptiveNetwork,
     plan: Plan,
@@ -191,7 +174,7 @@ def epoch(
     state: TrainingState,
     keep_weights: bool,
     rule: int | None = None,
-) -> tuple[TrainingState, Record]:
+) -> tuple[TrainingState, History]:
     """Run one epoch: assess, decide whether to go on and by which rule, and learn.
 
     - `rule`: of trainings in step, the index of the rule that is to learn.
@@ -215,7 +198,7 @@ def epoch(
     # A training that had ended before keeps everything as it was.
     next_state = jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, next_state)
     at_rest = next_state.rates[next_state.turn.rule]
-    record = Record(
+    record = History(
         cost=cost,
         measure=measure,
         stop_cost=stop_cost,

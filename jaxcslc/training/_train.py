@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from .._environment import platform_of, require_float64
 from .._scratch import unfinished
-from ._epoch import OUTCOMES, History, Record, Training, TrainingState, epoch
+from ._epoch import OUTCOMES, History, Training, TrainingState, epoch
 from ._examples import Examples
 from ._functions import half_square
 from ._kernel import rule_kernel
@@ -35,7 +35,7 @@ class Checkpoint:
         self.path = path
         self.fingerprint = _fingerprint(made_of)
 
-    def load(self, state: TrainingState) -> tuple[TrainingState, list[Record], int]:
+    def load(self, state: TrainingState) -> tuple[TrainingState, list[History], int]:
         """The state, records and number of epochs saved last; those given if there is no file.
 
         **Raises** `ValueError` if the file is no checkpoint, or one of another training.
@@ -59,17 +59,17 @@ class Checkpoint:
         restored = [
             _restored(leaf, content[f"state_{number}"]) for number, leaf in enumerate(leaves)
         ]
-        record = Record(*(content.get(f"record_{name}") for name in Record.__annotations__))  # pyright: ignore[reportArgumentType]
+        record = History(*(content.get(f"record_{name}") for name in History.__annotations__))  # pyright: ignore[reportArgumentType]
         return jax.tree.unflatten(structure, restored), [record], passed
 
-    def save(self, state: TrainingState, records: list[Record], passed: int) -> None:
+    def save(self, state: TrainingState, records: list[History], passed: int) -> None:
         """Replace the file."""
         content: dict[str, Any] = {"fingerprint": self.fingerprint, "epochs": passed}
         for number, leaf in enumerate(jax.tree.leaves(state)):
             content[f"state_{number}"] = _plain(leaf)
         axis = state.cost.ndim
         whole = jax.tree.map(lambda *parts: np.concatenate(parts, axis=axis), *records)
-        for name in Record.__annotations__:
+        for name in History.__annotations__:
             if (value := getattr(whole, name)) is not None:
                 content[f"record_{name}"] = value
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -194,7 +194,7 @@ def train(
     else:
         state = TrainingState.first(network, plan, start, key)
 
-    records: list[Record] = []
+    records: list[History] = []
     passed, saved = 0, None
     if checkpoint is not None:
         # Links print as a summary: the fingerprint needs their content.
@@ -243,7 +243,7 @@ def training_steps(
     epochs: int,
     keep_weights: bool = False,
     rule: int | None = None,
-) -> tuple[TrainingState, Record]:
+) -> tuple[TrainingState, History]:
     """Run epochs of one training: a pure function of its state, to be vmapped at will.
 
     A training that has ended waits, its state unchanged. Returns the state and the records,
@@ -252,7 +252,7 @@ def training_steps(
     - `rule`: of trainings in step, the index of the rule that learns in all these epochs.
     """
 
-    def step(state: TrainingState, _: None) -> tuple[TrainingState, Record]:
+    def step(state: TrainingState, _: None) -> tuple[TrainingState, History]:
         return epoch(network, plan, training_set, stop_set, state, keep_weights, rule)
 
     return jax.lax.scan(step, state, None, length=epochs)
@@ -270,7 +270,7 @@ def _many_steps(
     block: int,
     many: bool,
     rule: int | None,
-) -> tuple[TrainingState, Record]:
+) -> tuple[TrainingState, History]:
     if not many:
         return training_steps(
             network, plan, training_set, stop_set, state, epochs, keep_weights, rule
@@ -286,7 +286,7 @@ def _many_steps(
     differs = of_plan, training_set.trainings is not None, of_stop_set
     mapped, shared = eqx.partition((plan, training_set, stop_set), differs)
 
-    def one(mapped: Any) -> tuple[TrainingState, Record]:
+    def one(mapped: Any) -> tuple[TrainingState, History]:
         state, of_training = mapped
         plan, training_set, stop_set = eqx.combine(of_training, shared)
         return training_steps(
@@ -297,7 +297,7 @@ def _many_steps(
 
 
 def _turn_in_step(
-    schedule: Schedule, state: TrainingState, records: list[Record], passed: int
+    schedule: Schedule, state: TrainingState, records: list[History], passed: int
 ) -> tuple[int, int]:
     """The rule whose turn it is, and how many epochs of its bout are left."""
     begun = _rounds_begun(schedule, state, records, passed)
@@ -312,7 +312,7 @@ def _turn_in_step(
 
 
 def _rounds_begun(
-    schedule: Schedule, state: TrainingState, records: list[Record], passed: int
+    schedule: Schedule, state: TrainingState, records: list[History], passed: int
 ) -> int | None:
     """The epoch in which the second rule learnt first; None before every training is handed over.
 
@@ -330,7 +330,7 @@ def _rounds_begun(
 
 
 def _ended_in_step(
-    schedule: Schedule, state: TrainingState, records: list[Record], passed: int
+    schedule: Schedule, state: TrainingState, records: list[History], passed: int
 ) -> TrainingState:
     """The state after a round of bouts: trainings to which it brought too little have ended."""
     begun = _rounds_begun(schedule, state, records, passed)
@@ -385,12 +385,11 @@ def _largest_block(network: AdaptiveNetwork, training_set: Examples, plan: Plan)
 
 
 def _training(
-    state: TrainingState, records: list[Record], stop_set: bool, network: AdaptiveNetwork
+    state: TrainingState, records: list[History], stop_set: bool, network: AdaptiveNetwork
 ) -> Training:
     axis = state.cost.ndim
     if records:
-        record = jax.tree.map(lambda *parts: np.concatenate(parts, axis=axis), *records)
-        history = History(**{name: getattr(record, name) for name in Record.__annotations__})
+        history = jax.tree.map(lambda *parts: np.concatenate(parts, axis=axis), *records)
     else:
         none = np.zeros((*state.cost.shape, 0))
         rates = np.zeros((*none.shape, len(network.groups)))

@@ -17,8 +17,8 @@ from jaxcslc.training import (
     AdaptiveNetwork,
     Backpropagation,
     Examples,
+    History,
     Plan,
-    Record,
     Schedule,
     SwitchWhen,
     TrainingState,
@@ -126,10 +126,10 @@ def side_by_side(
     state: TrainingState,
     epochs: int,
     keep_weights: bool,
-) -> Record:
+) -> History:
     """Every seed's trainings side by side, (seeds, trainings, epochs)."""
 
-    def of_seed(pair: tuple[Examples, TrainingState]) -> Record:
+    def of_seed(pair: tuple[Examples, TrainingState]) -> History:
         patterns, several = pair
         return jax.vmap(
             lambda one: training_steps(network, plan, patterns, None, one, epochs, keep_weights)[1]
@@ -140,7 +140,7 @@ def side_by_side(
 
 def alone(
     problem: Problem, rule: AbstractRule, weights: Array, epochs: int, *, keep_weights: bool = False
-) -> Record:
+) -> History:
     """One rule from weights of every seed, (seeds, trainings, weights)."""
     network, plan = problem.network, plan_of(rule)
     rates = first_rates(network, rule, problem.examples, weights)[..., None]
