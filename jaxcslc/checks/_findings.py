@@ -61,11 +61,11 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         ),
         "rate: repeats": (
             "the source of {quantity} values is slower than the recorder",
-            "--every {every} keeps the rows with new values",
+            "--decimate {every} keeps the rows with new values",
         ),
         "rate: others": (
             "the recorder ran at another rate",
-            "identify each by itself, or thin {faster} with --every {every}",
+            "identify each by itself, or thin {faster} with --decimate {every}",
         ),
         "gap: long": (
             "the recorder stopped or rows were deleted",

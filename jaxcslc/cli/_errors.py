@@ -1,6 +1,7 @@
 """Errors that a user can correct: one line each, with the page that explains it."""
 
 import contextlib
+import re
 import sys
 from collections.abc import Generator, Mapping
 from types import TracebackType
@@ -30,6 +31,9 @@ PAGES: Mapping[str, str] = {
     "uncertainty": "uncertainty",
 }
 
+# What Equinox writes before and after the words of an error inside a compiled program.
+_OF_EQUINOX = re.compile(r"^.*EquinoxRuntimeError: | -{9,}.*$")
+
 
 @contextlib.contextmanager
 def one_line_errors(name: str = "", page: str = "command") -> Generator[list[int]]:
@@ -49,6 +53,7 @@ def one_line_errors(name: str = "", page: str = "command") -> Generator[list[int
         if isinstance(error, ImportError) and type(error).__name__ != "MissingExtraError":
             raise
         message = " ".join(str(error).split()) or type(error).__name__
+        message = _OF_EQUINOX.sub("", message)
         if isinstance(error, UsageError):
             where = " ".join(["jaxcslc", *([name] if name else []), "--help"])
         else:

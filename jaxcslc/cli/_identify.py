@@ -55,8 +55,9 @@ class IdentifyOptions:
     quality: Annotated[
         Literal["fast", "best"],
         option(
-            help="fast: least squares. best: also chooses friction per joint, and maximum"
-            " likelihood where it predicts held-out data better.",
+            help="fast: least squares, 9 s of processor time for 10,000 samples of 7 joints. best,"
+            " 29 s: also chooses friction per joint, and maximum likelihood where it predicts"
+            " held-out data better.",
         ),
     ] = "fast"
     settings: SettingsOption = None
@@ -289,7 +290,7 @@ def _identified_system(
     from ..systems import identify_system, load_system, load_system_recording
 
     if len(options.train) > 1:
-        raise ValueError(f"several recordings are of robots; {name} is another system")
+        raise ValueError(f"{name}: a system takes one recording, got {len(options.train)}")
     system = load_system(name)
     judging = options.validate
     return identify_system(

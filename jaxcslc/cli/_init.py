@@ -29,7 +29,7 @@ Entries = dict[str, Any]
 
 # A correction of the mapping as a finding of the check states it.
 _CORRECTION = re.compile(r'\[(\w+)\] (\w+) = ("[^"]*"|\[[\d., -]*\])')
-_OPTION = re.compile(r"--(decimate|every|period|torque-lag) ([\d.e-]+)")
+_OPTION = re.compile(r"--(decimate|period|torque-lag) ([\d.e-]+)")
 
 
 @dataclasses.dataclass
@@ -176,7 +176,7 @@ def _corrected(log: Path, robot: Manipulator, mapping: Entries, found: Decisions
             entries[key] = value
             found.decide("columns", f"{one.cause} (columns.{table}.{key})")
         for name, text in _OPTION.findall(one.remedy):
-            key = "decimate" if name == "every" else name.replace("-", "_")
+            key = name.replace("-", "_")
             treatment[key] = int(text) if key == "decimate" else float(text)
             found.decide("log", f"{one.cause} ({key})")
         if "--drop-stale" in one.remedy:

@@ -125,16 +125,16 @@ EXCLUSIONS = (
         for features in ((PREVIOUS, "not groups"), ("groups", f"not {PREVIOUS}"))
     ),
     *(
-        Exclusion((PREVIOUS, feature), f"{name} of a fit of all coefficients, not with previous")
+        Exclusion((PREVIOUS, feature), f"{name} cannot be combined with previous=")
         for feature, name in (
-            ("chosen friction", "friction: is"),
-            (BODIES, "possible: bodies are"),
-            ("prior", "prior: is"),
+            ("chosen friction", 'friction="auto"'),
+            (BODIES, 'possible="always"'),
+            ("prior", "prior="),
         )
     ),
     Exclusion(
         ("no bodies", "prior of links"),
-        "prior, links: possible bodies alone can follow it; got 'never'",
+        'a prior with [links] needs possible="auto" or "always" (--physical)',
     ),
     Exclusion(
         ("bodies of the likelihood",),

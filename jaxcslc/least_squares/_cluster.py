@@ -299,7 +299,8 @@ def _factors_of_files(
         raise ValueError("there are no files to fit; expected one or more")
     if settings is not None and settings.solver.loss != "squared":
         raise ValueError(
-            f"a cluster sees every file once: expected loss 'squared', got {settings.solver.loss!r}"
+            "a cluster reads every file once (--dask): expected loss 'squared', got"
+            f" {settings.solver.loss!r}"
         )
     require_float64()
     work = Work(Derivation.of(network), settings, read)

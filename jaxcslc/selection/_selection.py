@@ -78,8 +78,8 @@ class Scoring:
         most = samples // (2 * _FEWEST)
         if not 2 <= folds <= most:
             raise ValueError(
-                f"{folds} folds of {samples} samples; expected from 2 to {most}, so that there is"
-                " something to judge in each (option folds)"
+                f"{folds} folds of {samples} samples; expected 2 or more (folds, --folds), of at"
+                f" least {2 * _FEWEST} samples each"
             )
         length = -(-samples // folds)
         interval = float(np.median(np.diff(recording.time)))

@@ -165,7 +165,7 @@ ROWS: dict[str, tuple[Callable[[jc.Recording], jc.Recording], str, str, str]] = 
     ),
     "spikes": (with_spikes, "outliers", "joint 1, joint 2, joint 3", "--loss huber"),
     "stale": (stale, "stale rows", "", "--drop-stale"),
-    "slow source": (lambda r: held(r, 3), "rate", "", "--every 3"),
+    "slow source": (lambda r: held(r, 3), "rate", "", "--decimate 3"),
     "jitter": (jittered, "jitter", "", "--period 0.004"),
     "clipping": (clipped, "clipping", "joint 2", "exactly"),
     "locked": (
@@ -216,7 +216,7 @@ def test_recordings_of_one_arm_with_and_without_payload(arm: jc.CSLC, clean: jc.
     assert (finding.kind, finding.recording) == ("payload", "b.csv")
     thinned = same.rows(slice(None, None, 3))
     (finding,) = jc.check(arm, [clean, thinned], ["a.csv", "b.csv"]).findings
-    assert finding.kind == "rate" and "--every 3" in finding.remedy
+    assert finding.kind == "rate" and "--decimate 3" in finding.remedy
 
 
 @pytest.mark.parametrize("lag", [-0.013, 0.0, 0.0203])

@@ -120,8 +120,8 @@ class MappedQuantity:
                 raise RecordingError(
                     f"{where}: {self.unit} is a current; expected constant = ..., the torque"
                     " constant [N m/A] of each joint, and gear = ..., its gear ratio; constants"
-                    " that are not known: jaxcslc constants, from recordings with and without a"
-                    " known payload"
+                    " that are not known: jaxcslc torque-constants, from recordings with and"
+                    " without a known payload"
                 )
             unit = current or si_factor(self.unit, quantity) or 1.0
         factors = self.factors * count if len(self.factors) == 1 else self.factors

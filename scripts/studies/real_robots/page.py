@@ -31,16 +31,16 @@ other is [friction at standstill](friction.md#joints-at-standstill), for all met
   Pinocchio do this, and FIGAROH 1.0.2: its coefficients are those of the OLS rows to ten digits.
   It is also judged on its own motion, and with friction at rest by the sign of measured velocity.
   The best of the four counts.
-- **least-squares**: `--estimator least-squares --possible never`, settings chosen by
-  cross-validation. With `--possible auto`, the command's default, the row *auto* applies where it
+- **least-squares**: `--estimator least-squares --physical never`, settings chosen by
+  cross-validation. With `--physical auto`, the command's default, the row *auto* applies where it
   says least squares.
 - **maximum-likelihood**: `--estimator maximum-likelihood`, without smoothing
   ([page](likelihood.md)).
-- **consistent**: the same with `--possible always`
+- **consistent**: the same with `--physical always`
   ([page](uncertainty.md#physically-consistent-parameters)).
 - **friction auto**: `--friction auto`, friction terms and pre-sliding friction that improve the
   prediction of held-out data ([page](friction.md#choose-terms-automatically)).
-- **auto**: `--estimator auto --possible auto`, which decides within the fitted motion.
+- **auto**: `--estimator auto --physical auto`, which decides within the fitted motion.
 
 ```sh
 OPENBLAS_NUM_THREADS=1 python -m scripts.studies.real_robots.study --page docs/real_robots.md

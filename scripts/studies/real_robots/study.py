@@ -9,7 +9,7 @@ defaults: nothing is chosen on the motion that is judged. Methods:
   free fit, or of the possible bodies that are nearest to it.
 - **friction auto**: `--friction auto`, terms and states of dry friction that help within the
   training recording.
-- **auto**: `--estimator auto --possible auto`, judged within the training recording.
+- **auto**: `--estimator auto --physical auto`, judged within the training recording.
 
 The error is 100 |e| / |torque| of each joint, of the raw torque, over all samples and over those
 that the settings' masks leave in. All are judged on the same motion, smoothed as `jaxcslc identify`

@@ -57,7 +57,7 @@ default:
 
 ```sh
 .venv/bin/jaxcslc identify puma560 build/demo/puma_a_training.csv \\
-    --validate build/demo/puma_a_comparison.csv --possible never
+    --validate build/demo/puma_a_comparison.csv --physical never
 ```
 """
 
