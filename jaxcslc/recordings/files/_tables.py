@@ -13,7 +13,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -284,7 +284,7 @@ def _check_sizes(path: Path) -> None:
                 )
 
 
-def _claimed_bytes(name: str, stream: IO[bytes]) -> int:
+def _claimed_bytes(name: str, stream: Any) -> int:
     """Return the size that the header of an array says; 0 of what is no array."""
     if stream.read(len(np.lib.format.MAGIC_PREFIX)) != np.lib.format.MAGIC_PREFIX:
         return 0
