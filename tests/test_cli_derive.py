@@ -63,7 +63,7 @@ def test_a_long_chain_is_derived_without_its_tables(tmp_path: Path) -> None:
     path.write_text('name = "long"\n' + "[[joint]]\na = 0.1\n" * 10)
     result = run("derive", path, "--lengths", "numeric", "-o", tmp_path / "out")
     assert result.exit_code == 0, result.output
-    assert "closed-form tables are left out: for more than 9 joints" in result.output
+    assert "no closed-form tables: for more than 9 joints" in result.output
     assert not (tmp_path / "out" / "tables.json").exists()
 
 

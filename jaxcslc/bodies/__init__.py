@@ -34,6 +34,7 @@ from ._nearest_bodies import (
 from ._physical_parameters import (
     POSSIBILITY as POSSIBILITY,
     PhysicalParameters as PhysicalParameters,
+    file_bodies as file_bodies,
     fixed_bodies as fixed_bodies,
     in_file_frames as in_file_frames,
     physical_parameters as physical_parameters,

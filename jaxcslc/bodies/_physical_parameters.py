@@ -5,6 +5,7 @@ The programme itself is in `_nearest_bodies`.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 import equinox as eqx
@@ -16,7 +17,7 @@ from ..least_squares import torque_of
 from ..manipulator import LinkParameters, Manipulator, seen_from
 from ..network import CSLC
 from ..recordings import Patterns
-from ._body import bodies_of, constrained, link_of
+from ._body import bodies_of, body_of, constrained, link_of
 from ._nearest_bodies import WEAK, Fitted, NearestBodies, by_discrepancy
 from ._prior import LinkKnowledge
 
@@ -273,7 +274,7 @@ def possible_coefficients(
     )
     optimum = problem.solve(LEAST)
     if optimum is None:
-        raise RuntimeError(f"possible bodies: {_FAILED}")
+        raise RuntimeError(f"physically consistent parameters: {_FAILED}")
     return problem.coefficients(optimum)
 
 
@@ -296,6 +297,23 @@ def in_file_frames(
     return tuple(
         seen_from(link, np.linalg.inv(pose)) for link, pose in zip(links, placements, strict=True)
     )
+
+
+def file_bodies(robot: Manipulator) -> tuple[LinkParameters, ...] | None:
+    """Return the bodies of the robot's file as `PhysicalParameters.bodies` has them; None without.
+
+    They are in the file's frames, without what the file fixes to them.
+    """
+    if robot.links is None:
+        return None
+    carried = () if robot.source is None else robot.source.carried
+    links = [
+        link
+        if other is None or float(link.mass) <= float(other.mass)
+        else link_of(body_of(link) - body_of(other), float(link.motor_inertia))
+        for link, other in zip_longest(robot.links, carried)
+    ]
+    return in_file_frames(robot, links)
 
 
 def body_names(robot: Manipulator) -> tuple[str, ...]:

@@ -106,8 +106,8 @@ def moved_bodies(
     if without_motor:
         remedies.insert(0, f"let {', '.join(without_motor)} have a motor inertia")
     return (
-        "possible bodies: to be possible, these move from the fit further than its errors explain:"
-        f" {'; '.join(bodies)}. Identified coefficients are those of no body:"
+        "physically consistent parameters: these links differ from the fit by more than its errors"
+        f" explain: {'; '.join(bodies)}. The fit is not physically consistent there:"
         f" {', '.join(remedies)}",
     )
 
@@ -126,14 +126,14 @@ def other_masses(network: CSLC, parameters: PhysicalParameters) -> tuple[str, ..
         mass, expected = float(link.mass), float(file.mass)
         if expected > 0.0 and not expected / _OTHER_MASS < mass < expected * _OTHER_MASS:
             named = f"link {name}" if name.isdigit() else name
-            texts.append(f"{named} {mass:.3g} kg in place of {expected:.3g}")
+            texts.append(f"{named} {mass:.3g} kg instead of {expected:.3g}")
     if not texts:
         return ()
     return (
-        f"possible bodies: masses far from the robot's file: {', '.join(texts)}. They give the"
-        " identified torques, but motion of the joints tells combinations of masses, centres and"
-        " motor inertias only: say what is known of them with --prior (motor inertias first,"
-        " where the file has none)",
+        f"physically consistent parameters: masses far from the robot's file: {', '.join(texts)}."
+        " They give the identified torques, but motion of the joints determines only combinations"
+        " of masses, centres and motor inertias. State what is known with --prior: motor inertias"
+        " first, where the file has none",
     )
 
 
@@ -240,8 +240,11 @@ class PossibleFit:
 
     @property
     def other_coefficients(self) -> dict[str, Float[Array | np.ndarray, " coefficients"]]:
-        """The coefficients that are not used, by name: `"free"` or `"possible"`."""
-        return {"free": self.free.k} if self.used else {"possible": self.parameters.k}
+        """The coefficients that are not used, by name: `"unconstrained"` or
+        `"consistent"`."""
+        if self.used:
+            return {"unconstrained": self.free.k}
+        return {"consistent": self.parameters.k}
 
     def document(self) -> dict[str, Any]:
         """Return the entries of a report's file, as plain data."""
@@ -285,10 +288,11 @@ def possible_text(document: Mapping[str, Any]) -> str:
     ratio = ", ".join(f"{value:.3g}" for value in np.divide(*rms))
     relative = RelativeError(document["change"], document["change_error"], 0)
     return (
-        f"possible bodies: {document['held_out']} RMS over that of the free fit, joint by joint:"
-        f" {ratio}; on average {relative}, so {'their' if document['used'] else 'the free'}"
-        f" coefficients are used\n    {document['distance']:.3g} standard errors (root mean square)"
-        " from the free fit, by independent residuals"
+        f"physically consistent parameters: {document['held_out']} RMS over that of the"
+        f" unconstrained fit, per joint: {ratio}; on average {relative}. Used:"
+        f" {'physically consistent' if document['used'] else 'unconstrained'} coefficients\n   "
+        f" distance from the unconstrained fit: {document['distance']:.3g} standard errors (root"
+        " mean square, independent residuals)"
     )
 
 
@@ -318,7 +322,7 @@ def possible_fit(
 
     **Raises** as `physical_parameters`.
     """
-    step("fitting possible bodies")
+    step("fitting physically consistent parameters")
     fixed = fixed_bodies(network.robot)
     if parameters is None:
         parameters = physical_parameters(
@@ -326,7 +330,7 @@ def possible_fit(
         )
     else:
         parameters = distances_from(fit, network, parameters, training)
-    step("judging possible bodies")
+    step("testing physically consistent parameters")
     free_errors = [part.errors(part.fit.k) for part in parts]
     # The weight of the whole fit's bodies, found once: searched for in each part, it would cost
     # four times as much.
@@ -399,7 +403,7 @@ def judged_bodies(
         except (ValueError, RuntimeError, MissingExtraError) as error:
             if always:
                 raise
-            warnings = (f"possible bodies were not computed: {error}",)
+            warnings = (f"physically consistent parameters were not computed: {error}",)
         else:
             held_out = bodies.held_out if bodies.used else bodies.free_held_out
             return bodies, held_out, bodies.warnings

@@ -198,7 +198,7 @@ class FaultMonitor(AbstractController):
 
     The model of the controller also predicts how a healthy arm responds to a torque. The torque N
     that the motion requires (the network's, on readings filtered by a `LowPassChain`) is compared
-    with the torque command τ, filtered alike:
+    with the torque command τ, low-pass filtered by the same chain:
 
     - **lost samples**: readings that are NaN. A few in a row are extrapolated with the latest
       velocity; more than `allowed` are a fault.

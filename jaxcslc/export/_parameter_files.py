@@ -282,7 +282,8 @@ def _remainder(source: Source, i: int, link: LinkParameters) -> LinkParameters:
     if np.linalg.eigvalsh(pseudo_inertia(body))[0] <= 0:
         raise RobotError(
             f"{source.path}: link {source.links[i]!r} without the bodies that the file has fixed to"
-            " it is no possible body; use physical_parameters with fixed=robot.source.carried"
+            " it is not physically consistent; use physical_parameters with"
+            " fixed=robot.source.carried"
         )
     return link_of(body, float(link.motor_inertia))
 

@@ -350,7 +350,7 @@ def export_robot(
         states = Patterns(np.arange(float(len(q))), q, qd, qdd, 0 * q, mask, mask)
     else:
         states = motion
-    report("fitting possible bodies")
+    report("fitting physically consistent parameters")
     parameters = physical_parameters(network, fit, fixed=fixed, patterns=states, motors=motors)
     report("writing and reading again")
     written = write_robot(network, parameters, path, states=(states.q, states.qd, states.qdd))

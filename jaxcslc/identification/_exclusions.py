@@ -67,7 +67,7 @@ PREVIOUS, OFFSETS, SEVERAL, BODIES, LIKELIHOOD, LOAD_FRICTION = (
     "previous",
     "offsets",
     "several recordings",
-    "possible bodies",
+    "physically consistent parameters",
     "options of maximum likelihood",
     "friction of the load",
 )
@@ -114,7 +114,7 @@ EXCLUSIONS = (
     Exclusion(
         ("known masses",),
         "identify: {r.network.name!r} has known masses or centres of gravity in its algebra,"
-        " which LeastSquares.fit takes; here say them as links of the prior",
+        " which only LeastSquares.fit supports; state them as [links] of the prior instead",
     ),
     *(
         Exclusion(
@@ -138,34 +138,35 @@ EXCLUSIONS = (
     ),
     Exclusion(
         ("bodies of the likelihood",),
-        "likelihood: possible bodies are asked for by possible='always'",
+        "likelihood: for physically consistent parameters, use possible='always' of identify",
     ),
     Exclusion(
         (f"unsupported {LIKELIHOOD}",),
-        "estimator {r.estimator!r}: takes no options of maximum likelihood",
+        "estimator {r.estimator!r}: takes no options of maximum likelihood (likelihood=)",
     ),
     *(
         Exclusion(
             (f"unsupported {feature}",),
-            f"estimator {{r.estimator!r}}: not with {feature}, which is of least-squares",
+            f"estimator {{r.estimator!r}}: cannot be combined with {feature}; expected"
+            " least-squares",
         )
         for feature in (PREVIOUS, OFFSETS)
     ),
     Exclusion(
         (f"unsupported {SEVERAL}",),
-        "estimator {r.estimator!r}: is for one recording, got {recordings}",
+        "estimator {r.estimator!r}: expected one recording, got {recordings}",
     ),
     Exclusion(
         (f"unsupported {BODIES}",),
-        "estimator {r.estimator!r}: fits no possible bodies; got 'always'",
+        "estimator {r.estimator!r}: cannot be combined with possible='always'",
     ),
-    Exclusion((PREVIOUS, SEVERAL), "identify: previous is for one recording, got several"),
+    Exclusion((PREVIOUS, SEVERAL), "identify: previous= expects one recording, got several"),
     Exclusion(
         (OFFSETS, f"not {SEVERAL}"),
-        "identify: offsets are of several recordings; for one use the friction term 'offset'",
+        "identify: offsets= expects several recordings; for one use the friction term 'offset'",
     ),
     *(
-        Exclusion(features, f"identify: friction of kind {{r.load_kinds}} is not for {what}")
+        Exclusion(features, f"identify: friction of kind {{r.load_kinds}} cannot be combined with {what}")
         for features, what in (
             ((f"unsupported {LOAD_FRICTION}",), "the estimator {r.estimator!r}"),
             ((LOAD_FRICTION, SEVERAL), "several recordings in one fit"),
@@ -176,7 +177,7 @@ EXCLUSIONS = (
         Exclusion((PRE_SLIDING, feature), why)
         for feature, why in (
             (SEVERAL, "several recordings are fitted together"),
-            (f"unsupported {PRE_SLIDING}", "it is not for the estimator {r.estimator!r}"),
+            (f"unsupported {PRE_SLIDING}", "the estimator {r.estimator!r} does not support it"),
             ("distances", "its distances are given"),
             ("prior", "coefficients are known beforehand"),
             ("prior of the likelihood", "coefficients are known beforehand"),

@@ -77,7 +77,7 @@ class Regression(AbstractEstimator):
                 partial(_parts, problem, identification, several),
                 choice=request.possible,
                 prior=request.prior,
-                source="cross-validation" if several is None else "left-out recording",
+                source="cross-validation" if several is None else "held-out recording",
                 systematic=systematic,
                 step=problem.step,
             )
@@ -157,7 +157,7 @@ def _cross_validated(problem: Problem, fit: Fit, several: SeveralFit | None) -> 
     if several is not None:
         parts = _parts(problem, fit.identification, several)
         k = fit.identification.k
-        return held_out_of_parts(fit.network, fit.identification, k, parts, "left-out recording")
+        return held_out_of_parts(fit.network, fit.identification, k, parts, "held-out recording")
     return cross_validated_error(
         fit.network, problem.judged_patterns, problem.settings, fit=fit.identification
     )

@@ -327,7 +327,7 @@ class LeastSquares:
         else:
             weights = f"by {', '.join(f'{float(weight):g}' for weight in self.joint_weights)}"
         parts = [
-            "" if self.cutoff is None else f"filtered alike at {self.cutoff:g} Hz",
+            "" if self.cutoff is None else f"low-pass at {self.cutoff:g} Hz",
             f"joints weighted {weights}",
             "" if self.loss == "squared" else f"loss of {self.loss!r}",
         ]

@@ -94,8 +94,8 @@ class Settings:
 
     >>> import numpy as np, jaxcslc as jc
     >>> print(jc.Settings(solver=jc.LeastSquares(cutoff=15.0)))
-    averaged splines of 9 samples, velocities from positions, torque of 'sample', thresholds 3 % \
-of top speed, filtered alike at 15 Hz, joints weighted by residual
+    averaged splines of 9 samples, velocities from positions, torque of 'sample', masked below \
+3 % of top speed, low-pass at 15 Hz, joints weighted by residual
     >>> time = np.arange(400) * 0.01
     >>> recording = jc.Recording(time, np.sin(time)[:, None], np.cos(time)[:, None])
     >>> jc.Settings(jc.Preparation(trim=10)).patterns(recording).samples

@@ -91,7 +91,7 @@ def estimator_text(document: Mapping[str, Any], units: Sequence[str]) -> str:
     """
     relative = RelativeError(document["change"], document["change_error"], 0)
     lines = [
-        f"estimators, {document['held_out']} RMS over judged samples (over all), joint by joint:"
+        f"estimators, {document['held_out']} RMS over unmasked samples (over all), per joint:"
     ]
     for name, values in document["rms"].items():
         pairs = zip(values, document["rms_all_samples"][name], strict=True)
@@ -99,8 +99,8 @@ def estimator_text(document: Mapping[str, Any], units: Sequence[str]) -> str:
             f"    {name}: {', '.join(f'{judged:.4g} ({every:.4g})' for judged, every in pairs)}"
         )
     lines.append(
-        f"    with positions estimated, the misfit of maximum likelihood is {relative} beside that"
-        f" of least squares; the coefficients are those of {document['used']}"
+        f"    likelihood misfit, positions estimated: maximum likelihood {relative} relative to"
+        f" least squares; coefficients used: {document['used']}"
     )
     if document["lengths"] is not None:
         lines.append(f"    {presliding_line(document['lengths'], units)}")
@@ -110,7 +110,7 @@ def estimator_text(document: Mapping[str, Any], units: Sequence[str]) -> str:
 
 
 def presliding_line(presliding_distance: Sequence[float], units: Sequence[str]) -> str:
-    """Say over which distances friction of both estimators yields before it slides.
+    """Return the pre-sliding distances of both estimators as a sentence.
 
     **Arguments**
 
@@ -118,16 +118,16 @@ def presliding_line(presliding_distance: Sequence[float], units: Sequence[str]) 
     - `units`: of each joint's torque.
 
     >>> presliding_line([0.04, 0.0], ["N m", "N m"])
-    'dry friction of both yields before it slides: joint 1 over 0.04 rad'
+    'pre-sliding friction of both estimators, distance: joint 1 0.04 rad'
     """
     joints = ", ".join(
-        f"joint {number} over {length:.3g} {'m' if unit == 'N' else 'rad'}"
+        f"joint {number} {length:.3g} {'m' if unit == 'N' else 'rad'}"
         for number, (length, unit) in enumerate(
             zip(presliding_distance, units, strict=True), start=1
         )
         if length > 0.0
     )
-    return f"dry friction of both yields before it slides: {joints}"
+    return f"pre-sliding friction of both estimators, distance: {joints}"
 
 
 @dataclasses.dataclass(frozen=True)

@@ -186,7 +186,9 @@ def possible_bodies(
         )
 
     of_others = problem.fixing("k")
-    step: Callable[[str], None] = lambda _: progress("maximum likelihood: possible bodies")
+    step: Callable[[str], None] = lambda _: progress(
+        "maximum likelihood: physically consistent parameters"
+    )
 
     def search_with(k: Float[np.ndarray, " coefficients"], state: SearchState) -> Minimum:
         return search_on(of_others, state, k, step)

@@ -255,7 +255,7 @@ def _impulse_response(order: int, cutoff: float) -> Float[np.ndarray, " lags"]:
 
 
 class FilteredEquations(eqx.Module):
-    """Equations `regressor @ k = torque`, filtered alike on both sides and decimated.
+    """Equations `regressor @ k = torque`, low-pass filtered on both sides and decimated.
 
     **Attributes**
 

@@ -205,7 +205,7 @@ class Preparation:
     >>> import numpy as np, jaxcslc as jc
     >>> preparation = jc.Preparation(jc.Butterworth(20.0), torque_alignment="mean")
     >>> print(preparation)
-    Butterworth at 20 Hz, velocities from positions, torque of 'mean', thresholds 3 % of top speed
+    Butterworth at 20 Hz, velocities from positions, torque of 'mean', masked below 3 % of top speed
     >>> time = np.arange(500) * 0.002
     >>> recording = jc.Recording(time, np.sin(time)[:, None], np.cos(time)[:, None])
     >>> preparation.patterns(recording).samples
@@ -444,9 +444,9 @@ reach over 36 ms to either side in place of 18 ms',)
             thresholds = "thresholds " + ", ".join(f"{limit:.3g}" for limit in limits)
         elif any(fractions):
             slow = ", ".join(f"{100 * part:g}" for part in fractions)
-            thresholds = f"thresholds {slow} % of top speed"
+            thresholds = f"masked below {slow} % of top speed"
         else:
-            thresholds = "slow pairs kept"
+            thresholds = "slow samples kept"
         recorded = self.velocity == "recorded"
         source = "recorded velocities" if recorded else "velocities from positions"
         margin = self.reversal_margin
@@ -455,10 +455,10 @@ reach over 36 ms to either side in place of 18 ms',)
             source,
             f"torque of {self.torque_alignment!r}",
             f"torque lag {1e3 * self.torque_lag:g} ms" if self.torque_lag else "",
-            "torque smoothed alike" if self.smooth_torque else "",
+            "torque smoothed with the same filter" if self.smooth_torque else "",
             thresholds,
-            "possible backlash left out" if self.backlash else "",
-            f"{margin} samples left out beside reversals" if margin else "",
+            "possible backlash masked" if self.backlash else "",
+            f"{margin} samples masked next to reversals" if margin else "",
         ]
         return ", ".join(part for part in parts if part)
 

@@ -18,12 +18,18 @@ from ._page import AbstractBlock
 
 # Text in drawings: that of the page.
 _FONT = {"family": "system-ui, sans-serif", "size": 13, "color": "#1b1f24"}
-_GRID, _ZERO, _MASKED, _MEASURED, _ARM = "#e3e6ea", "#b8bec6", "#dfe7f3", "#9aa1a9", "#4b5563"
+_GRID, _ZERO, _MASKED, _MEASURED, _ARM = (
+    "#e3e6ea",
+    "#b8bec6",
+    "rgba(110,150,210,0.22)",
+    "#9aa1a9",
+    "#4b5563",
+)
 _ORANGE, _BLUE = COLOURS[:2]
 
 # Of a chart of panels [pixels]; a panel's title stands in the gap above it, the legend above the
-# first title, and buttons above the legend.
-_TOP, _BOTTOM, _LEFT, _RIGHT, _GAP, _TITLE = 100, 46, 58, 12, 34, 22
+# first title.
+_TOP, _BOTTOM, _LEFT, _RIGHT, _GAP, _TITLE = 64, 46, 58, 12, 34, 22
 # Labels of 10 pixels each, beside the highest matrix.
 _MOST_LABELS = 50
 # Angles of an ellipsoid's mesh.
@@ -54,6 +60,12 @@ class AbstractChart(AbstractBlock):
 
     kind: ClassVar[str] = "chart"
     caption: str
+    group: str = ""
+
+    @property
+    def label(self) -> str:
+        """Text for screen readers."""
+        return self.caption
 
     @property
     @abc.abstractmethod
@@ -151,17 +163,23 @@ class PanelChart(AbstractChart):
     - `x_label`: with its unit.
     - `caption`: below the chart.
     - `shading`: what shaded intervals are, for the legend.
+    - `group`: charts of one group on a page are zoomed together; none if empty.
 
     >>> curve = Curve("measured", (0.0, 1.0), (2.0, 3.0), "measured")
     >>> chart = PanelChart((Panel("joint 1 [N m]", (curve,), ((0.2, 0.4),)),), "time [s]", "")
     >>> [trace["name"] for trace in chart.plotly_figure()["data"]]
-    ['not fitted', 'measured']
+    ['masked', 'measured']
     """
 
     panels: tuple[Panel, ...]
     x_label: str
     caption: str
-    shading: str = "not fitted"
+    shading: str = "masked"
+    group: str = ""
+
+    @property
+    def label(self) -> str:
+        return self.caption or f"{', '.join(panel.title for panel in self.panels)}: {self.x_label}"
 
     @property
     def height(self) -> int:
@@ -421,7 +439,8 @@ class Film(AbstractBlock):
             left = number * _VIEW
             axes = f"{'xyz'[first]} to the right, {'xyz'[second]} upwards"
             parts += [
-                f'<text x="{left + 10}" y="18" font-size="13" fill="{_ARM}">{name}: {axes}</text>',
+                f'<text x="{left + 10}" y="18" font-size="13" fill="currentColor">'
+                f"{name}: {axes}</text>",
                 f'<circle cx="{base[first] + left:.1f}" cy="{_VIEW - base[second]:.1f}" r="5"'
                 f' fill="{_MEASURED}"/>',
                 self._arm(pixels[..., first] + left, _VIEW - pixels[..., second]),
@@ -432,8 +451,8 @@ class Film(AbstractBlock):
         return (
             f'<svg viewBox="0 0 {3 * _VIEW} {_VIEW}" xmlns="http://www.w3.org/2000/svg"'
             f' style="width:100%;max-width:{3 * _VIEW}px">{"".join(parts)}'
-            f'<path d="M10 {_VIEW - 10} h{scale * bar:.1f}" stroke="{_ARM}"/>'
-            f'<text x="{16 + scale * bar:.1f}" y="{_VIEW - 6}" font-size="13" fill="{_ARM}">'
+            f'<path d="M10 {_VIEW - 10} h{scale * bar:.1f}" stroke="currentColor"/>'
+            f'<text x="{16 + scale * bar:.1f}" y="{_VIEW - 6}" font-size="13" fill="currentColor">'
             f"{bar:g} m</text></svg>"
         )
 

@@ -1,7 +1,8 @@
 """Coefficients in reports: description of their model, verdicts, and the table for text and CSV."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from textwrap import fill
 from typing import Any, Literal
@@ -15,6 +16,7 @@ from ..least_squares import Identification
 from ..network import CSLC, AbstractLinearNetwork
 from ..uncertainty import SystematicError, uncertainty_interval
 from ._excitation import Excitation
+from ._page import Column, Table, Value
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -56,6 +58,14 @@ class ModelDescription:
         """True if outputs are torques of joints of a robot."""
         return self.output_kind == "joint"
 
+    def table(
+        self, columns: Iterable[tuple[Column, Sequence[Value]]], caption: str = "", name: str = ""
+    ) -> Table:
+        """Return a table with a row per output, which begins with its name and unit."""
+        head = (self.output_kind, self.output_names), ("unit", self.output_units)
+        texts = [(Column(title, numeric=False), values) for title, values in head]
+        return Table.from_columns([*texts, *columns], caption, name)
+
     @classmethod
     def of(cls, network: AbstractLinearNetwork) -> "ModelDescription":
         """Return the description of a network."""
@@ -68,7 +78,7 @@ class ModelDescription:
             network.output_names,
             network.output_units,
             network.coefficients,
-            (str(network), *(joint_lines(network) if robot else ())),
+            tuple(model_lines(network)) if robot else (str(network),),
             expression_legend(network) if robot else None,
         )
 
@@ -128,17 +138,22 @@ class ModelDescription:
         )
 
 
-def joint_lines(network: CSLC) -> list[str]:
-    """Return the numbers that coefficients' names have, with the joints' names if they have any."""
-    robot = network.robot
+def model_lines(network: CSLC) -> list[str]:
+    """Return lines on the model: its size, and the joints' numbers and names if they have any."""
+    robot, groups = network.robot, [coefficient.group for coefficient in network.coefficients]
+    sizes = ", ".join(f"{groups.count(group)} {group}" for group in network.layout.groups)
+    size = (
+        f"robot {robot.name}: {network.joint_count} joints, {network.size} coefficients ({sizes})"
+    )
     if not robot.has_joint_names:
-        return []
+        return [size]
     mimics = () if robot.source is None else robot.source.mimics
     leaders = {mimic.follower: f" (follows {mimic.leader})" for mimic in mimics}
     joints = ", ".join(
         f"{i} {name}{leaders.get(name, '')}" for i, name in enumerate(robot.joint_names, start=1)
     )
-    return [fill(f"joints: {joints}", 96, subsequent_indent="    ", break_on_hyphens=False)]
+    lines = fill(f"joints: {joints}", 96, subsequent_indent="    ", break_on_hyphens=False)
+    return [size, lines]
 
 
 def expression_legend(network: CSLC) -> str:
@@ -146,7 +161,7 @@ def expression_legend(network: CSLC) -> str:
 
     >>> import jaxcslc as jc
     >>> expression_legend(jc.derive(jc.examples.pendulum(), lengths="numeric"))[:58]
-    'kB: base parameters. Of link i: mi mass, rxi ryi rzi centr'
+    'kB: base parameters. For link i: mi mass, rxi ryi rzi cent'
     """
     groups = {
         "mass": "kM: of the mass matrix",
@@ -160,10 +175,21 @@ def expression_legend(network: CSLC) -> str:
     if len(forms) > 1:
         about = "the origin (principal moments: the centre of gravity)"
     return (
-        f"{names}. Of link i: mi mass, rxi ryi rzi centre of gravity, Ixxi to Iyzi moments of"
+        f"{names}. For link i: mi mass, rxi ryi rzi centre of gravity, Ixxi to Iyzi moments of"
         f" inertia about {about}, Imi motor inertia, in the link's modified Denavit-Hartenberg"
         " frame: z along the axis of joint i, x along the common normal to the next axis"
     )
+
+
+def readable(expression: str) -> str:
+    """Return an expression to read: three digits per number, no signs of multiplication.
+
+    >>> readable("Ixx2 + 0.17327300000157975*m4 - 1e-05*m3*rz3 + m2*rx2**2")
+    'Ixx2 + 0.173 m4 - 1e-05 m3 rz3 + m2 rx2²'
+    """
+    number = r"(?<![\w.])\d+\.?\d*(?:e[+-]?\d+)?"
+    text = re.sub(number, lambda found: f"{float(found[0]):.3g}", expression.replace("**2", "²"))
+    return re.sub(r"(?<!\*)\*(?!\*)", " ", text)
 
 
 def legend_text(legend: str) -> str:
@@ -207,8 +233,8 @@ class Verdict:
         - `"systematic error"`: the standard error is small enough, the systematic error is not:
           what is needed is another model or smoothing, not more data;
         - `"indistinguishable from zero"`: the interval, systematic error included, contains zero;
-        - `"wrong sign"`: the coefficient is positive for every possible body and the whole
-          interval is negative;
+        - `"wrong sign"`: the coefficient is positive for every physically consistent robot and the
+          whole interval is negative;
         - `"not determined"`: the patterns do not determine it.
     - `reason`: of the verdict.
     """
@@ -274,8 +300,8 @@ def verdicts(
         relative = abs(error / value) if value else np.inf
         reason = f"standard error {_compared(error, value)}"
         if inflation is not None and relative > _WELL and inflation[i] > _CORRELATED:
-            times = f"{np.sqrt(inflation[i]):.2g} times as large"
-            reason += f", which correlation with other coefficients makes {times}"
+            times = f"{np.sqrt(inflation[i]):.2g} times"
+            reason += f" (increased {times} by correlation with other coefficients)"
         kind: VerdictKind = "well determined" if relative <= _WELL else "poorly determined"
         small = np.hypot(error, shift[i]) <= _WELL * abs(value)
         if relative <= _WELL and not (small and shift[i] <= _WELL_SYSTEMATIC * abs(value)):
@@ -288,7 +314,7 @@ def verdicts(
         elif meaningless:
             kind, reason = "poorly determined", f"condition number {float(fit.condition):.2g}"
         elif coefficient.positive and high < 0.0:
-            kind, reason = "wrong sign", "positive for every possible body"
+            kind, reason = "wrong sign", "positive for every physically consistent robot"
         elif low <= 0.0 <= high:
             kind = "indistinguishable from zero"
         result.append(Verdict(name, kind, reason))
@@ -311,6 +337,20 @@ def _determined_combinations(fit: Identification) -> dict[str, str]:
         for name in group.split(", "):
             sentences[name] = text
     return {name: sentences.get(name, "the patterns do not determine it") for name in fit.names}
+
+
+class CoefficientRow(dict[str, str | float | bool]):
+    """Row of a coefficient, which prints as one line.
+
+    >>> row = {"name": "kd1", "value": 0.5, "unit": "N m", "low": 0.4, "high": 0.6}
+    >>> CoefficientRow(row | {"verdict": "poorly determined"})
+    kd1 = 0.5 N m, 95 % interval 0.4 to 0.6, poorly determined
+    """
+
+    def __repr__(self) -> str:
+        return (
+            "{name} = {value:.4g} {unit}, 95 % interval {low:.4g} to {high:.4g}, {verdict}"
+        ).format(**self)
 
 
 # What a line has room for: alone, and beside a value with its errors, interval and verdict.
@@ -414,13 +454,19 @@ def coefficient_text(rows: list[dict[str, str | float | bool]]) -> str:
     >>> print(coefficient_text(coefficient_rows(network)))
     name  unit   expression
     kB1   kg m²  Izz1 + Im1
-    kB2   kg m   m1*rx1
-    kB3   kg m   m1*ry1
+    kB2   kg m   m1 rx1
+    kB3   kg m   m1 ry1
     """
     hidden = ("group", "positive", "relative_error", "variance_inflation", "reason")
     shown = [name for name in rows[0] if name not in hidden]
     longest = _LONGEST_BESIDE_VALUE if "value" in rows[0] else _LONGEST_EXPRESSION
-    cells = [[_cell(row[name], longest * (name == "expression")) for name in shown] for row in rows]
+    cells = [
+        [
+            _cell(readable(str(row[x])), longest) if x == "expression" else _cell(row[x])
+            for x in shown
+        ]
+        for row in rows
+    ]
     header = [_HEADERS.get(name, name) for name in shown]
     table = text_table(header, cells, left=("unit", "verdict", "expression"))
     doubtful = [row for row in rows if row.get("verdict", _GOOD) != _GOOD]
@@ -428,7 +474,7 @@ def coefficient_text(rows: list[dict[str, str | float | bool]]) -> str:
     return "\n".join([table, *(["", "not well determined:", *reasons] if reasons else [])])
 
 
-def _cell(value: str | float | bool, longest: int) -> str:
+def _cell(value: str | float | bool, longest: int = 0) -> str:
     """The text of a cell, cut where it has more than `longest` characters; 0 for any number."""
     if isinstance(value, float):
         return f"{value:.4g}"

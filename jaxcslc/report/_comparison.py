@@ -265,16 +265,15 @@ def _coefficient_section(comparison: ReportComparison) -> Section:
     return Section(
         "Coefficients",
         "The most different first. A difference is in standard errors of"
-        " both together, systematic errors included: beyond 2 it is hardly chance for one"
-        " coefficient, but of forty, two are.",
+        " both together, systematic errors included. For one coefficient, more than 2 is unlikely"
+        " by chance; of forty, two are expected.",
         [Table(columns, rows, name="coefficients-table")],
     )
 
 
 def _compared_sections(comparison: ReportComparison) -> Iterator[Section]:
-    """Yield how sections differ, in the order of the page; what is said of the data stands last."""
-    kinds = sorted(Report.kinds, key=lambda kind: (kind.position < 10, kind.position))
-    for kind in kinds:
+    """Yield how sections differ, in the order of the page."""
+    for kind in sorted(Report.kinds, key=lambda kind: kind.position):
         sections = (report.section(kind.name) for report in (comparison.first, comparison.second))
         data = ({} if section is None else section.data for section in sections)
         if (section := kind.compared(*data)) is not None:

@@ -12,8 +12,8 @@ from ._coefficients import (
     coefficient_rows,
     coefficient_text,
     expression_legend,
-    joint_lines,
     legend_text,
+    model_lines,
 )
 from ._output import write_csv, write_json
 
@@ -21,8 +21,8 @@ from ._output import write_csv, write_json
 # Counting the tables of 12 right-angled joints takes ten times as long as all the rest.
 _MOST_JOINTS = 9
 _NO_TABLES = (
-    f"closed-form tables are left out: for more than {_MOST_JOINTS} joints, and for twists other"
-    " than multiples of 90°, they have tens of thousands of links; torque is computed by recursion"
+    f"no closed-form tables: for more than {_MOST_JOINTS} joints, or twists other than multiples"
+    " of 90°, they have tens of thousands of links; torque is computed by recursion"
 )
 _COUPLED = (
     "  (coupled joints: their shared coefficients are not part of this list, and may replace motor"
@@ -93,7 +93,7 @@ class DerivationReport:
     def __str__(self) -> str:
         network = self.network
         sizes = _sizes(network) if self.has_practical_tables else _NO_TABLES
-        heading = "\n".join([str(network), *joint_lines(network)])
+        heading = "\n".join(model_lines(network))
         lines = [
             f"{heading}\n{sizes}\n\n{coefficient_text(coefficient_rows(network))}\n",
             f"{legend_text(expression_legend(network))}\n",

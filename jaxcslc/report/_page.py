@@ -99,7 +99,7 @@ class Column:
     - `title`: of the column, its unit included.
     - `explanation`: shown under the pointer.
     - `digits`: of its numbers.
-    - `decimals`: of its numbers, in place of digits.
+    - `decimals`: of its numbers, instead of digits.
     - `numeric`: aligned right.
     - `tones`: of its texts, which are then drawn as marks.
     - `wide`: text that may wrap.
@@ -272,6 +272,7 @@ class Details(AbstractBlock):
 
     - `summary`: that is always shown.
     - `blocks`: that are shown when opened.
+    - `opened`: whether they are shown at first.
 
     >>> Details("All trials", (Paragraph("forty"),)).kind
     'details'
@@ -280,6 +281,7 @@ class Details(AbstractBlock):
     kind: ClassVar[str] = "details"
     summary: str
     blocks: tuple[AbstractBlock, ...]
+    opened: bool = False
 
 
 @dataclasses.dataclass(frozen=True)

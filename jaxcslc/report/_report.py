@@ -24,13 +24,14 @@ from ..manipulator import Manipulator
 from ..network import CSLC, AbstractLinearNetwork
 from ..recordings import Patterns
 from ..uncertainty import standard_uncertainty
-from ._coefficients import ModelDescription, coefficient_rows
+from ._charts import Panel, PanelChart
+from ._coefficients import CoefficientRow, ModelDescription, coefficient_rows
 from ._errors import predicted_torque
 from ._load import identification_file, read_files, saved_network
 from ._output import write_report
 from ._page import Message, Page, Section, Tone, render
 from ._section import IDENTIFICATION, AbstractSection, counted
-from .sections import SECTIONS
+from .sections import SECTIONS, curve_chart
 
 
 N = TypeVar("N", bound=AbstractLinearNetwork)
@@ -39,7 +40,7 @@ R = TypeVar("R", bound="AbstractReport[Any]")
 _HEADLINES: dict[Tone, str] = {
     "good": "The identified model can be used.",
     "caution": "The identified model can be used with care: see the points marked !.",
-    "bad": "Do not rely on the identified model before the points marked ✗ are settled.",
+    "bad": "Do not rely on the identified model until the points marked ✗ are resolved.",
 }
 _MARKS: dict[Tone, str] = {"good": "✓", "caution": "!", "bad": "✗", "plain": " "}
 
@@ -171,14 +172,14 @@ class AbstractReport(abc.ABC, Generic[N]):
             level=level,
         )
 
-    def __getitem__(self, name: str) -> dict[str, str | float | bool]:
-        """Return the row of a coefficient: its value, standard error, interval and verdict.
+    def __getitem__(self, name: str) -> CoefficientRow:
+        """Return a coefficient's value, unit, standard error, interval (low, high) and verdict.
 
         **Raises** `KeyError` for a name that no coefficient has.
         """
         if name not in self.names:
             raise KeyError(f"{name}: expected a coefficient, {self.names[0]} to {self.names[-1]}")
-        return self.rows()[self.names.index(name)]
+        return CoefficientRow(self.rows()[self.names.index(name)])
 
     def to_pandas(self, level: float = 0.95) -> Any:
         """Return `rows()` as a `pandas.DataFrame` indexed by coefficient.
@@ -250,7 +251,7 @@ class AbstractReport(abc.ABC, Generic[N]):
     @cached_property
     def _judgement(self) -> tuple[Tone, tuple[Message, ...]]:
         """The worst tone, and what it rests on; what is said of the data stands last."""
-        ordered = sorted(self.sections, key=lambda part: (part.position < 10, part.position))
+        ordered = sorted(self.sections, key=lambda part: part.position)
         messages = tuple(message for part in ordered for message in part.messages(self))
         tones = {message.tone for message in messages}
         tone: Tone = "bad" if "bad" in tones else "caution" if "caution" in tones else "good"
@@ -263,6 +264,51 @@ class AbstractReport(abc.ABC, Generic[N]):
         return "\n".join(
             [_HEADLINES[tone], *(f"  {_MARKS[line.tone]} {line.text}" for line in messages)]
         )
+
+    def torque_chart(self, joint: str | int, recording: str | None = None) -> Any:
+        """Return a plotly figure of the measured and predicted torque of a joint.
+
+        **Arguments**
+
+        - `joint`: its name, or its number from 1.
+        - `recording`: `"training"` or `"validation"`; the latter if there is one and none is named.
+
+        **Raises**
+
+        - `ValueError`: there is no such joint or recording.
+        - `ImportError`: the extra `report` is not installed.
+        """
+        return self._figure(self._torque_charts(recording)[self._output(joint)].panels)
+
+    def plot(self, recording: str | None = None) -> Any:
+        """Return a plotly figure of the measured and predicted torque of all joints.
+
+        **Arguments** and **Raises** as of `torque_chart`.
+        """
+        charts = self._torque_charts(recording)
+        return self._figure(tuple(panel for chart in charts for panel in chart.panels))
+
+    def _figure(self, panels: tuple[Panel, ...]) -> Any:
+        described = PanelChart(panels, "time [s]", "").plotly_figure()
+        return require("plotly.graph_objects", "report").Figure(described)
+
+    def _output(self, joint: str | int) -> int:
+        """Return the index of an output by name, or by number from 1."""
+        names = self.model.output_names
+        if joint in names:
+            return names.index(str(joint))
+        if not isinstance(joint, int) or not 1 <= joint <= len(names):
+            raise ValueError(f"joint: expected 1 to {len(names)} or a name, got {joint!r}")
+        return joint - 1
+
+    def _torque_charts(self, recording: str | None) -> list[PanelChart]:
+        section = self.section("curves")
+        curves = {} if section is None else section.data["curves"]
+        name = recording or ("validation" if "validation" in curves else "training")
+        if name not in curves:
+            known = ", ".join(curves) or "none (the report was saved without pictures)"
+            raise ValueError(f"recording: expected one of {known}, got {name!r}")
+        return [curve_chart(x, self.model, i, name) for i, x in enumerate(curves[name])]
 
     def documents(self, charts: bool = True) -> dict[str, dict[str, Any]]:
         """Return what the report's JSON files hold, by their names.
@@ -320,7 +366,7 @@ class AbstractReport(abc.ABC, Generic[N]):
         return changed
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.model.name}; {self.fit!r})"
+        return f"{type(self).__name__} of {self.model.name}. {self.verdict}"
 
     def __str__(self) -> str:
         paragraphs = (lines for section in self.sections for lines in section.text(self))
@@ -337,7 +383,8 @@ class Report(AbstractReport[CSLC]):
     """The result of `identify`: coefficients, their uncertainty, and a list of sections.
 
     `print` shows what `jaxcslc identify` prints; `save` writes what it writes, and `load_report`
-    reads it back. A notebook shows the page. `report["kd1"]` is the row of a coefficient.
+    reads it back. A notebook shows the page. `report["kd1"]` is a coefficient with its interval,
+    `plot` and `torque_chart` draw measured and predicted torque.
 
     **Attributes**
 
@@ -362,6 +409,8 @@ class Report(AbstractReport[CSLC]):
     >>> report = jc.identify(network, recording, settings=jc.Settings())
     >>> report.to_pandas().index.tolist()
     ['kB1', 'kB2', 'kB3', 'kv1', 'kd1']
+    >>> report["kv1"]
+    kv1 = 0.2 N m s/rad, 95 % interval 0.2 to 0.2, well determined
     >>> tuple(report.errors), report["kv1"]["unit"], report.sample(64).shape
     (('training',), 'N m s/rad', (64, 5))
     """

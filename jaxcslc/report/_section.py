@@ -5,8 +5,7 @@ reads its entries back. A report is a list of sections (`_report.py`); `sections
 each kind, `sections/__init__.py` the list of all.
 """
 
-import abc
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -26,7 +25,7 @@ else:
 IDENTIFICATION = "identification.json"
 
 
-class AbstractSection(abc.ABC):
+class AbstractSection:
     """Kind of result: its text, its JSON and its blocks of the page.
 
     All of them are made of `data`, plain data, so that a section that was read from a file shows
@@ -40,8 +39,8 @@ class AbstractSection(abc.ABC):
     - `entries`: of its file that are the section's, and the type of each.
     - `file`: that holds them.
     - `always`: whether reports have the section without such a result, or without entries.
-    - `position`: of its blocks on the page, where sections are sorted by it: below 10 the data,
-      below 20 errors, below 30 the model, from there on the method.
+    - `position`: of its blocks on the page, where sections are sorted by it: below 20 errors,
+      below 30 the model, below 40 the data, from there on the method.
     """
 
     name: ClassVar[str]
@@ -68,9 +67,13 @@ class AbstractSection(abc.ABC):
         return cls(lambda: cls.document_of(result, report))
 
     @classmethod
-    @abc.abstractmethod
     def document_of(cls, result: Any, report: AnyReport) -> Mapping[str, Any]:
-        """Return the entries of a result; of None, what the report itself says."""
+        """Return the entries of a result; of None, what the report itself says.
+
+        By default the one entry is the result's `document()`.
+        """
+        del report
+        return {next(iter(cls.entries)): result.document()}
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> "AbstractSection | None":
@@ -162,6 +165,15 @@ def listed(names: Sequence[str]) -> str:
     ('shoulder', 'shoulder, elbow and wrist')
     """
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def validation_first(recordings: Iterable[str]) -> list[str]:
+    """Return names of recordings, that of the training data last.
+
+    >>> validation_first(["training", "validation"])
+    ['validation', 'training']
+    """
+    return sorted(recordings, key=lambda name: name == "training")
 
 
 def axis_title(name: str, unit: str) -> str:

@@ -54,7 +54,7 @@ def section_of(
     start = max(whole or starts, key=lambda start: _motion(recording, slice(start, start + most)))
     part = recording.rows(slice(start, start + most))
     from_start = part.time - recording.time[0]
-    what = "settings, held-out errors, systematic errors and possible bodies are judged on"
+    what = "settings, held-out errors, systematic errors and physical consistency are tested on"
     return Segment(
         part,
         f"{what if streamed else 'of this recording are used'} {most} of {recording.samples}"

@@ -30,7 +30,7 @@ FOLDS = 8
 _LEAST_GAIN = 0.01
 
 
-Source = Literal["validation", "cross-validation", "left-out recording", "held-out stretch"]
+Source = Literal["validation", "cross-validation", "held-out recording", "held-out stretch"]
 """Of errors on motion that was not fitted."""
 
 
@@ -47,7 +47,7 @@ class HeldOut:
       models all else.
     - `source`: of the held-out data, `"validation"`, `"cross-validation"`, `"held-out stretch"`
       (the last part of each recording, predicted by a fit of what is before it) or, of several
-      recordings, each one left out of the fit in turn, `"left-out recording"`.
+      recordings, each held out of the fit in turn, `"held-out recording"`.
     - `units`: of each joint's torque; N m if omitted.
     - `names`: of the joints or equations; `"joint 1"` and so on if omitted.
 

@@ -59,8 +59,8 @@ def test_reasons_name_what_stands_in(arm: jc.CSLC, rng: np.random.Generator) -> 
     )
     judged = verdicts(arm, fit, excitation)
     assert re.fullmatch(
-        r"standard error [\d.]+ (% of|times) the value,"
-        r" which correlation with other coefficients makes [\d.]+ times as large",
+        r"standard error [\d.]+ (% of|times) the value"
+        r" \(increased [\d.]+ times by correlation with other coefficients\)",
         judged[1].reason,
     )
     assert "correlation" not in judged[0].reason

@@ -138,7 +138,7 @@ def test_masses_far_from_the_file_are_named(network: jc.CSLC, k: Float[np.ndarra
     assert other_masses(network, parameters) == ()  # no masses in the file
     assert other_masses(with_file(1.9), parameters) == ()
     (sentence,) = other_masses(with_file(2.1), parameters)
-    assert f"link 2 {masses[1]:.3g} kg in place of {2.1 * masses[1]:.3g}" in sentence
+    assert f"link 2 {masses[1]:.3g} kg instead of {2.1 * masses[1]:.3g}" in sentence
     assert "link 1" not in sentence and "--prior" in sentence
 
 
@@ -213,8 +213,9 @@ def test_identify_reports_what_it_used(network: jc.CSLC, k: Float[np.ndarray, " 
     assert always.possible is not None and always.bodies is always.possible.parameters
     np.testing.assert_array_equal(np.asarray(always.k), always.possible.parameters.k)
     np.testing.assert_allclose(np.asarray(always.possible.free.k), np.asarray(never.k))
-    assert always.errors["training"].names == ("fit", "free")
-    assert "their coefficients are used" in str(always) and "possible bodies" not in str(never)
+    assert always.errors["training"].names == ("fit", "unconstrained")
+    assert "Used: physically consistent coefficients" in str(always)
+    assert "physically consistent" not in str(never)
     assert never.possible is None and never.errors["training"].names == ("fit",)
 
 

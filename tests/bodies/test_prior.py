@@ -180,11 +180,15 @@ def test_wrong_files(text: str, message: str, tmp_path: Path) -> None:
     [
         (Prior({"kx": Known(1.0)}), {}, "'kx' is none of 'elbow"),
         (Prior({}, {"3": {"mass": Known(1.0)}}), {}, "'3' names no link of 'elbow'; expected one"),
-        (Prior({}, {"2": {"mass": Known(1.0)}}), {"possible": "never"}, "possible bodies alone"),
+        (
+            Prior({}, {"2": {"mass": Known(1.0)}}),
+            {"possible": "never"},
+            "needs --possible auto or always",
+        ),
         (
             Prior({"kv1": Known(1.0)}),
             {"previous": np.zeros(14), "groups": ["dry"]},
-            "not with previous",
+            "prior cannot be combined with previous=",
         ),
     ],
 )

@@ -171,13 +171,15 @@ def test_what_does_not_know_it_says_so(
     recording: jc.Recording, options: dict[str, Any], message: str
 ) -> None:
     network = jc.derive(ARM.with_friction("dry", "load"), lengths="numeric")
-    with pytest.raises(ValueError, match=f"friction of kind 'load' is not for {message}"):
+    with pytest.raises(
+        ValueError, match=f"friction of kind 'load' cannot be combined with {message}"
+    ):
         jc.identify(network, recording, settings=jc.Settings(), **options)
 
 
 def test_several_recordings_do_not_know_it(recording: jc.Recording) -> None:
     network = jc.derive(ARM.with_friction("dry", "load"), lengths="numeric")
-    with pytest.raises(ValueError, match="is not for several recordings in one fit"):
+    with pytest.raises(ValueError, match="cannot be combined with several recordings in one fit"):
         jc.identify(network, [recording, recording], settings=jc.Settings())
 
 

@@ -139,7 +139,7 @@ class TestComparison:
         comparison = comparison_of(report)
         for rms in comparison.rms_all_samples.values():
             assert_allclose(rms, 0.02, rtol=0.3)
-        assert "dry friction of both yields before it slides: joint 1 over 0.0" in str(comparison)
+        assert "pre-sliding friction of both estimators, distance: joint 1 0.0" in str(comparison)
 
     def test_a_stretch_that_is_left_out_begins_with_the_state_of_the_motion_before(
         self, recordings: tuple[jc.Recording, jc.Recording]
@@ -211,7 +211,7 @@ class TestReport:
         assert document["pre_sliding"]["lengths"] == report.presliding_distance.tolist()
         assert document["estimators"]["lengths"] == report.presliding_distance.tolist()
         page = (tmp_path / "index.html").read_text("utf-8")
-        assert "Dry friction of both yields before it slides: joint 1 over" in page
+        assert "Pre-sliding friction of both estimators, distance: joint 1" in page
         rows = np.genfromtxt(tmp_path / "torque_training.csv", delimiter=",", names=True)
         saved = jc.load_report(tmp_path, pendulum())
         assert saved.pre_sliding is not None
@@ -249,7 +249,11 @@ class TestFrictionThatDoesNotYield:
     ("estimator", "likelihood", "reason"),
     [
         ("auto", jc.MaximumLikelihood(prior=Prior()), "coefficients are known beforehand"),
-        ("instrumental-variables", None, "it is not for the estimator 'instrumental-variables'"),
+        (
+            "instrumental-variables",
+            None,
+            "the estimator 'instrumental-variables' does not support it",
+        ),
     ],
 )
 def test_what_pre_sliding_is_not_tried_with(

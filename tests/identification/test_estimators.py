@@ -71,10 +71,10 @@ class TestAuto:
     def test_it_says_so(self, coarse: jc.Report, tmp_path: Path) -> None:
         text = str(coarse)
         assert "estimators, validation RMS" in text
-        assert "the coefficients are those of maximum-likelihood" in text
+        assert "coefficients used: maximum-likelihood" in text
         assert any("recorded velocities are not used" in note for note in coarse.notes)
         coarse.save(tmp_path, pictures=False)
-        assert "those of maximum-likelihood" in (tmp_path / "index.html").read_text("utf-8")
+        assert "This report uses maximum-likelihood" in (tmp_path / "index.html").read_text("utf-8")
         saved = jc.load_report(tmp_path, coarse.network.robot)
         assert_allclose(saved.fit.k, coarse.k)
 
@@ -163,7 +163,7 @@ class TestBadInput:
             jc.identify(network, swing(network, 0), likelihood=options, **QUICK)
 
     def test_a_re_identification(self, network: jc.CSLC) -> None:
-        with pytest.raises(ValueError, match="'auto': not with previous, which is of least-squ"):
+        with pytest.raises(ValueError, match="'auto': cannot be combined with previous; expected least-squ"):
             jc.identify(*(network, swing(network, 0)), previous=K, groups=["dry"], estimator="auto")
 
     def test_too_short_to_be_judged(self, network: jc.CSLC) -> None:
@@ -201,8 +201,8 @@ class TestInstruments:
     def test_what_they_cannot_do(self, network: jc.CSLC) -> None:
         recording = swing(network, 0)
         options: dict[str, Any] = {**QUICK, "estimator": "instrumental-variables"}
-        with pytest.raises(ValueError, match="for one recording, got 2"):
+        with pytest.raises(ValueError, match="expected one recording, got 2"):
             jc.identify(network, [recording, recording], **options)
-        with pytest.raises(ValueError, match="fits no possible bodies; got 'always'"):
+        with pytest.raises(ValueError, match="cannot be combined with possible='always'"):
             options["possible"] = "always"
             jc.identify(network, recording, **options)

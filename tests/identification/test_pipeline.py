@@ -115,9 +115,11 @@ def test_direct_dynamics_is_an_estimator() -> None:
 
 def test_what_it_does_not_support_is_said(network: jc.CSLC) -> None:
     recording = swing(network, 0)
-    with pytest.raises(ValueError, match="estimator 'Ridge': is for one recording, got 2"):
+    with pytest.raises(ValueError, match="estimator 'Ridge': expected one recording, got 2"):
         jc.identify(network, [recording, recording], estimator=Ridge(0.0))
-    with pytest.raises(ValueError, match="estimator 'Ridge': fits no possible bodies"):
+    with pytest.raises(
+        ValueError, match="estimator 'Ridge': cannot be combined with possible='always'"
+    ):
         jc.identify(network, recording, estimator=Ridge(0.0), possible="always")
 
 
@@ -202,4 +204,4 @@ class TestExclusions:
         )
         assert excluded(several, "pre-sliding") == "several recordings are fitted together"
         other = dataclasses.replace(request, supports=frozenset(), estimator="ridge")
-        assert excluded(other, "pre-sliding") == "it is not for the estimator 'ridge'"
+        assert excluded(other, "pre-sliding") == "the estimator 'ridge' does not support it"

@@ -224,9 +224,9 @@ class TestIdentify:
         one = self.recording(motions[0])
         with pytest.raises(ValueError, match="got no recording; expected one or more"):
             jc.identify(network, [])
-        with pytest.raises(ValueError, match="offsets are of several recordings"):
+        with pytest.raises(ValueError, match="offsets= expects several recordings"):
             jc.identify(network, [one], offsets=True)
-        with pytest.raises(ValueError, match="previous is for one recording, got several"):
+        with pytest.raises(ValueError, match="previous= expects one recording, got several"):
             jc.identify(network, [one, one], previous=K, groups=["dry"])
 
 

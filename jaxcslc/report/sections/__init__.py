@@ -15,5 +15,6 @@ from ._recordings import (
     CurveSection as CurveSection,
     RecordingSection as RecordingSection,
     WarningSection as WarningSection,
+    curve_chart as curve_chart,
 )
 from ._registry import SECTIONS as SECTIONS

@@ -1,27 +1,41 @@
 """Section on physically consistent bodies: parameters, and how they predict held-out motion."""
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from jaxcslc.bodies import PhysicalParameters, PossibleFit, possible_text
+from jaxcslc.bodies import PhysicalParameters, PossibleFit, file_bodies, possible_text
 from jaxcslc.manipulator import LinkParameters, RobotError, link_poses
+from jaxcslc.uncertainty import RelativeError
 
 from .._charts import ArmChart, Ellipsoid
 from .._page import AbstractBlock, Column, Paragraph, Section, Table
 from .._section import AbstractSection, AnyReport, open_errors
 
 
+# Columns of bodies, and those of them that the robot's file is shown beside.
+_FIGURES: dict[str, Callable[[Mapping[str, Any]], float]] = {
+    "mass [kg]": lambda link: link["mass"],
+    "rx [m]": lambda link: link["centre"][0],
+    "ry [m]": lambda link: link["centre"][1],
+    "rz [m]": lambda link: link["centre"][2],
+    "Ixx [kg m²]": lambda link: link["inertia"][0][0],
+    "Iyy [kg m²]": lambda link: link["inertia"][1][1],
+    "Izz [kg m²]": lambda link: link["inertia"][2][2],
+    "motor inertia [kg m²]": lambda link: link["motor_inertia"],
+}
+_OF_FILE = ("mass [kg]", "rx [m]", "ry [m]", "rz [m]")
+
+
 class PossibleSection(AbstractSection):
-    """Bodies nearest to the fit, beside the free fit."""
+    """Physically consistent bodies nearest to the unconstrained fit, compared with it."""
 
     name = "possible"
     results = MappingProxyType({"possible": None, "bodies": None})
     entries = MappingProxyType({"possible": dict, "bodies": dict})
-    position = 24
+    position = 21
 
     @classmethod
     def of(cls, report: AnyReport) -> AbstractSection | None:
@@ -44,25 +58,19 @@ class PossibleSection(AbstractSection):
         if "bodies" not in self.data:
             return
         bodies = self.data["bodies"]
-        links = bodies["links"]
-        columns = [
-            (Column("body", numeric=False), bodies["names"]),
-            (Column("mass [kg]"), [link["mass"] for link in links]),
-            *(
-                (Column(f"r{axis} [m]"), [link["centre"][i] for link in links])
-                for i, axis in enumerate("xyz")
-            ),
-            *(
-                (Column(f"I{axis}{axis} [kg m²]"), [link["inertia"][i][i] for link in links])
-                for i, axis in enumerate("xyz")
-            ),
-            (Column("motor inertia [kg m²]"), [link["motor_inertia"] for link in links]),
-        ]
-        caption = "Masses, centres of gravity, moments of inertia"
+        columns = [(Column("body", numeric=False), bodies["names"])]
+        sources = {"": bodies["links"], ", file": bodies.get("file")}
+        known = {source: links for source, links in sources.items() if links}
+        for title, value in _FIGURES.items():
+            for source, links in known.items():
+                if not source or title in _OF_FILE:
+                    name = title.replace(" [", f"{source} [")
+                    columns.append((Column(name, digits=3), [value(link) for link in links]))
+        caption = "Masses, centres of gravity (r), moments of inertia (I)"
         blocks: list[AbstractBlock] = [
             Paragraph(
-                f"Coefficients move by {bodies['distance']:.3g} standard errors (root mean square)"
-                " to be those of possible bodies."
+                f"The coefficients of these bodies are {bodies['distance']:.3g} standard errors"
+                " (root mean square) from the unconstrained fit."
             ),
             Table.from_columns(columns, caption, "bodies"),
         ]
@@ -73,35 +81,32 @@ class PossibleSection(AbstractSection):
         elif charts:
             blocks.append(Paragraph(f"Not drawn: {bodies['no_arm']}"))
         yield Section(
-            "Possible bodies",
-            "The masses, centres of gravity and inertia tensors nearest to the fit that bodies can"
-            " have. What the motion does not determine is that of the prior. In the frames of the"
-            " robot's file and without what the file fixes to a body, inertia about the centre of"
-            " gravity.",
+            "Physically consistent parameters",
+            "The physically consistent masses, centres of gravity and inertia tensors nearest to"
+            " the fit, with the robot file's values where it has them. The motion determines only"
+            " combinations of them; the rest follows the file or a prior. Frames are those of the"
+            " file, without what it fixes to a body; inertia is about the centre of gravity.",
             blocks,
         )
 
 
 def _judged(report: AnyReport, judged: Mapping[str, Any]) -> list[AbstractBlock]:
-    """Return how bodies and free fit predict motion that neither was fitted to."""
-    change, error = 100 * math.expm1(judged["change"]), 100 * judged["change_error"]
-    used = "the bodies'" if judged["used"] else "the free fit's"
+    """Return how bodies and the unconstrained fit predict held-out data."""
     text = (
-        f"On motion that was left out in turn, errors of the bodies are {change:+.2g} % ±"
-        f" {error:.2g} % on average beside those of the free fit: this report's coefficients are"
-        f" {used}."
+        "On held-out data, errors change by"
+        f" {RelativeError(judged['change'], judged['change_error'], 0)} on average relative to the"
+        " unconstrained fit. This report uses the"
+        f" {'physically consistent' if judged['used'] else 'unconstrained'} coefficients."
     )
     rms, free = judged["held_out_rms"], judged["free_held_out_rms"]
     pairs = zip(rms, free, strict=True)
     columns = [
-        (Column(report.model.output_kind, numeric=False), report.model.output_names),
-        (Column("RMS, free fit"), free),
-        (Column("RMS, possible bodies"), rms),
-        (Column("unit", numeric=False), report.model.output_units),
+        (Column("RMS error, unconstrained"), free),
+        (Column("RMS error, consistent"), rms),
         (Column("ratio", digits=3), [a / b if a is not None and b else None for a, b in pairs]),
     ]
-    caption = f"motion that was not fitted ({judged['held_out']})"
-    return [Paragraph(text), Table.from_columns(columns, caption, "bodies-held-out")]
+    caption = f"Held-out data ({judged['held_out']})"
+    return [Paragraph(text), report.model.table(columns, caption, "bodies-held-out")]
 
 
 def _bodies(report: AnyReport, bodies: PhysicalParameters) -> dict[str, Any]:
@@ -113,15 +118,8 @@ def _bodies(report: AnyReport, bodies: PhysicalParameters) -> dict[str, Any]:
     ]
     document: dict[str, Any] = {
         "names": names,
-        "links": [
-            {
-                "mass": float(link.mass),
-                "centre": link.centre_of_gravity,
-                "inertia": link.inertia,
-                "motor_inertia": float(link.motor_inertia),
-            }
-            for link in bodies.bodies
-        ],
+        "links": [_link(link) for link in bodies.bodies],
+        "file": [_link(link) for link in file_bodies(robot) or ()],
         "distance": float(bodies.distance),
         "torque_distance": bodies.torque_distance,
         "arm": None,
@@ -147,11 +145,20 @@ def _bodies(report: AnyReport, bodies: PhysicalParameters) -> dict[str, Any]:
     return document
 
 
+def _link(link: LinkParameters) -> dict[str, Any]:
+    return {
+        "mass": float(link.mass),
+        "centre": link.centre_of_gravity,
+        "inertia": link.inertia,
+        "motor_inertia": float(link.motor_inertia),
+    }
+
+
 def solid_ellipsoid(link: LinkParameters) -> tuple[np.ndarray, np.ndarray]:
     """Return the solid ellipsoid with a body's mass, centre of gravity and inertia tensor.
 
-    It exists for every possible body: along the principal axes, half axes are √(5 s / m), with s
-    the spread ∫ x² dm of mass along an axis, an eigenvalue of tr(I)/2 - I.
+    It exists for every physically consistent body. Along the principal axes, half axes are
+    √(5 s / m), with s the spread ∫ x² dm of mass along an axis, an eigenvalue of tr(I)/2 - I.
 
     **Returns**
 
@@ -173,8 +180,8 @@ def solid_ellipsoid(link: LinkParameters) -> tuple[np.ndarray, np.ndarray]:
 def _arm_chart(document: Mapping[str, Any]) -> ArmChart:
     """Return the chart of the arm's bodies.
 
-    Bodies larger than the arm are named in the caption instead of being drawn. Where the motion
-    determines a moment of inertia and hardly the mass, the ellipsoid has no meaningful size.
+    Bodies larger than the arm are named in the caption instead of being drawn: where the motion
+    determines a moment of inertia and not the mass, the ellipsoid has no meaningful size.
     """
     lines = np.asarray(document["lines"], float)
     reach = float(np.sum(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)))
@@ -189,7 +196,7 @@ def _arm_chart(document: Mapping[str, Any]) -> ArmChart:
             bodies.append(ellipsoid)
     if large:
         caption += (
-            f"; not drawn, because larger than the arm: {', '.join(large)}, whose inertia the"
-            " motion determines and whose mass it hardly does"
+            f"; not drawn, because larger than the arm: {', '.join(large)} (the motion determines"
+            " their inertia, but not their mass)"
         )
     return ArmChart(lines, tuple(bodies), caption)

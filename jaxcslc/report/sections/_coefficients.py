@@ -12,7 +12,7 @@ from jaxcslc.least_squares import Identification
 from jaxcslc.uncertainty import SystematicError
 
 from .._charts import MatrixChart
-from .._coefficients import coefficient_text, legend_text
+from .._coefficients import coefficient_text, legend_text, readable
 from .._excitation import Excitation
 from .._page import (
     AbstractBlock,
@@ -78,37 +78,39 @@ class CoefficientSection(AbstractSection):
     def messages(self, report: AnyReport) -> Iterator[Message]:
         rows = report.rows()
         kinds = Counter(row["verdict"] for row in rows)
-        others = ", ".join(
-            f"{kinds[kind]} {kind}"
-            for kind in _VERDICT_TONES
-            if kind != "well determined" and kinds[kind]
-        )
-        missing = kinds["not determined"]
+        well = kinds.pop("well determined", 0)
+        others = ", ".join(f"{kinds[kind]} {kind}" for kind in _VERDICT_TONES if kinds[kind])
         yield Message(
-            f"{kinds['well determined']} of {counted(len(rows), 'coefficient')} well determined"
+            f"{well} of {counted(len(rows), 'coefficient')} well determined"
             + (f"; {others}." if others else "."),
-            "caution" if missing or kinds["well determined"] < 0.5 * len(rows) else "good",
+            "caution" if kinds["not determined"] or well < 0.5 * len(rows) else "good",
         )
         signed = sum(bool(row["positive"]) for row in rows)
         if wrong := kinds["wrong sign"]:
             many = wrong > _MANY_WRONG_SIGNS * signed
             names = [str(row["name"]) for row in rows if row["verdict"] == "wrong sign"]
             yield Message(
-                f"{listed(names)}: negative, and positive for every possible body"
+                f"{listed(names)}: negative, but positive for every physically consistent robot"
                 + ("; check the signs of torques and positions." if many else "."),
                 "bad" if many else "caution",
             )
 
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         fit, legend = report.fit, report.model.legend
-        rows = tuple(tuple(row[name] for name in _COLUMNS) for row in report.rows())
+        rows = tuple(
+            tuple(
+                readable(str(row[name])) if name == "expression" else row[name] for name in _COLUMNS
+            )
+            for row in report.rows()
+        )
         undetermined = tuple(Message(text, "bad") for text in fit.unidentifiable)
         yield Section(
             "Coefficients",
-            "Low and high are the ends of 95 % intervals, for"
+            "Low and high are the ends of the 95 % confidence interval, for"
             f" {fit.errors} errors with {float(fit.degrees_of_freedom):.0f} degrees of freedom."
-            " Well determined: standard error at most a tenth of the value; systematic error: more"
-            " data of this motion would not help, another model or smoothing would.",
+            " Well determined: the standard error is at most 10 % of the value. Systematic error:"
+            " more data from this motion would not help; another model or smoothing would. A poorly"
+            " determined coefficient has little effect on the torque of this motion.",
             [
                 *([Messages(undetermined)] if undetermined else []),
                 *([] if legend is None else [Paragraph(f"{legend}.")]),
@@ -150,7 +152,7 @@ class ExcitationSection(AbstractSection):
     name = "excitation"
     results = MappingProxyType({"excitation": None})
     entries = MappingProxyType({"least_determined": str, "excitation": dict})
-    position = 21
+    position = 24
 
     always = True
 
@@ -180,14 +182,14 @@ class ExcitationSection(AbstractSection):
         fixed = report.section("groups")
         fitted = len(report.names) - (0 if fixed is None else len(fixed.data["fixed"]))
         systematic = getattr(report, "systematic", None)
-        causes = "" if systematic is None else "; and for systematic errors by "
+        causes = "" if systematic is None else ". Systematic errors included: "
         causes += "" if systematic is None else ", ".join(systematic.parts)
-        text = f"rank {int(fit.rank)} of {fitted}, condition {float(fit.condition):.4g}"
+        text = f"rank {int(fit.rank)} of {fitted}, condition number {float(fit.condition):.4g}"
         if "least_determined" in self.data:
-            text += f"; least determined: {self.data['least_determined']}"
+            text += f"; least determined: {readable(self.data['least_determined'])}"
         yield [
             *([] if legend is None else [legend_text(legend)]),
-            f"low and high: 95 % intervals for {fit.errors} errors,"
+            f"low, high: 95 % confidence interval, {fit.errors} errors with"
             f" {float(fit.degrees_of_freedom):.0f} degrees of freedom{causes}",
             *(f"not determined: {sentence}" for sentence in fit.unidentifiable),
             text,
@@ -196,8 +198,8 @@ class ExcitationSection(AbstractSection):
     def messages(self, report: AnyReport) -> Iterator[Message]:
         if not bool(report.fit.meaningful):
             yield Message(
-                f"Condition number {float(report.fit.condition):.2g}: the motion does not tell the"
-                " coefficients apart, and no value means anything by itself.",
+                f"Condition number {float(report.fit.condition):.2g}: the motion does not separate"
+                " the coefficients, so that no single value can be trusted.",
                 "bad",
             )
 
@@ -206,7 +208,7 @@ class ExcitationSection(AbstractSection):
         blocks: list[AbstractBlock] = []
         tables: list[AbstractBlock] = []
         if excitation is not None:
-            blocks.append(Paragraph(f"Least determined: {self.data['least_determined']}"))
+            blocks.append(Paragraph(f"Least determined: {readable(self.data['least_determined'])}"))
             columns = [Column("coefficients", numeric=False), Column("condition")]
             rows = tuple(tuple(row.values()) for row in excitation.rows())
             tables.append(Table(tuple(columns), rows, "Condition number", "excitation-table"))
@@ -223,15 +225,14 @@ class ExcitationSection(AbstractSection):
         blocks.append(Grid(tuple(tables)))
         if charts and 1 < len(report.names) <= _MOST_LABELS:
             matrix = np.asarray(report.fit.correlation).tolist()
-            caption = "Correlations of the coefficients' errors"
+            caption = "Correlations between the errors of coefficients"
             blocks.append(MatrixChart(report.names, matrix, caption))
         yield Section(
             "Excitation and correlations",
-            "The condition number says by how much relative noise of the"
-            f" {report.model.output_quantity} is amplified in the coefficients: 1 at best, above a"
-            " hundred the motion hardly separates some of them. The errors of correlated"
-            " coefficients compensate each other: their sum or difference is better known than"
-            " they are.",
+            "The condition number is the factor by which relative noise of the"
+            f" {report.model.output_quantity} is amplified in the coefficients. It is 1 at best;"
+            " above 100 the motion separates some of them poorly. Errors of correlated coefficients"
+            " compensate each other: their sum or difference is known better than each of them.",
             blocks,
         )
 

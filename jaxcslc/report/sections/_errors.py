@@ -1,6 +1,6 @@
 """Sections on errors: of the recordings, of held-out motion, by estimator, and over a horizon."""
 
-import math
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from types import MappingProxyType
@@ -10,18 +10,15 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxcslc._plain_data import record_document, record_from
+from jaxcslc._text_table import text_table
 from jaxcslc.instruments import HorizonError
-from jaxcslc.likelihood import (
-    EstimatorComparison,
-    estimator_text,
-    presliding_line,
-)
+from jaxcslc.likelihood import estimator_text, presliding_line
 from jaxcslc.recordings import Patterns
-from jaxcslc.uncertainty import HeldOut
+from jaxcslc.uncertainty import HeldOut, RelativeError
 
 from .._errors import ErrorTable
 from .._page import AbstractBlock, Column, Message, Paragraph, Section, Table, Tone, Value
-from .._section import AbstractSection, AnyReport, listed, open_errors
+from .._section import AbstractSection, AnyReport, listed, open_errors, validation_first
 
 
 # A model that explains less than half of the variance of a joint's training torque is not one of
@@ -29,15 +26,17 @@ from .._section import AbstractSection, AnyReport, listed, open_errors
 _LEAST_R_SQUARED = 0.5
 # Errors in % of a joint's RMS torque.
 _SMALL, _LARGE = 10.0, 50.0
-_SAMPLES = {"judged": "samples that masks leave in", "all": "all samples"}
+# Seconds of simulation that the verdict quotes.
+_HORIZON = 1.0
+_SAMPLES = {"judged": "unmasked samples", "all": "all samples"}
 _QUALITIES = {"rms": "RMS", "percent": "% of RMS torque", "r_squared": "R²"}
 
 # Motion that was not fitted, by the source of held-out errors.
 _MOTION = {
     "validation": "the validation recording",
-    "cross-validation": "stretches of the training recording that were left out in turn",
-    "left-out recording": "training recordings that were left out in turn",
-    "held-out stretch": "the last part of the training recording, held out",
+    "cross-validation": "segments of the training recording, each held out in turn",
+    "held-out recording": "the training recordings, each held out in turn",
+    "held-out stretch": "the last part of the training recording",
 }
 
 
@@ -77,9 +76,28 @@ class ErrorSection(AbstractSection):
         return {recording: record_from(ErrorTable, table) for recording, table in tables}
 
     def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
-        stem = "torque" if report.model.per_joint else report.model.output_kind
+        """Yield one table per recording: RMS errors, also of other coefficients, %, and R²."""
+        quality, model = report.section("quality"), report.model
+        if quality is None:
+            return
         for name, table in self.result(self.name, report).items():
-            yield [f"{stem} error, {name} recording", str(table)]
+            judged, every = (quality.data["quality"][name][samples] for samples in _SAMPLES)
+            columns = {
+                "RMS error": judged["rms"],
+                **dict(zip((f"({x})" for x in table.names[1:]), table.rms[1:], strict=True)),
+                f"[% of {model.output_quantity}]": judged["percent"],
+                "R²": judged["r_squared"],
+                "RMS error, all samples": every["rms"],
+                "masked [%]": 100 * (1 - np.asarray(table.share_judged)),
+            }
+            rows = zip(model.output_names, model.output_units, *columns.values(), strict=True)
+            cells = [
+                [joint, unit, *(f"{np.nan if x is None else x:.4g}" for x in values)]
+                for joint, unit, *values in rows
+            ]
+            header = [model.output_kind, "unit", *columns]
+            title = f"{model.output_quantity} error, {name} recording"
+            yield [title, text_table(header, cells, left=("unit",))]
 
     def tables(self, report: AnyReport) -> Mapping[str, Sequence[Mapping[str, Any]]]:
         return {
@@ -123,22 +141,23 @@ class QualitySection(AbstractSection):
         quality = qualities[name]
         percent, whole = (np.asarray(quality[kind]["percent"], float) for kind in _SAMPLES)
         if not np.any(np.isfinite(percent)):
-            yield Message(f"No sample of the {name} recording could be judged.", "bad")
+            yield Message(f"All samples of the {name} recording are masked.", "bad")
             return
         worst = int(np.nanargmax(percent))
         largest = float(percent[worst])
         tone: Tone = "bad" if largest > _LARGE else "caution" if largest > _SMALL else "good"
+        judged, every = _range(percent), _range(whole)
+        masked = "" if judged == every else f" ({every} % with masked samples)"
         yield Message(
-            f"{quantity.capitalize()} error on the {name} recording:"
-            f" {_range(percent)} % of the RMS {quantity} over the samples that masks leave in,"
-            f" {_range(whole)} % over all; largest at {names[worst]}.",
+            f"Replay of the {name} recording: the {quantity} error is {judged} % of the RMS"
+            f" {quantity}{masked}, largest at {names[worst]}.",
             tone,
         )
         r_squared = np.asarray(qualities["training"]["judged"]["r_squared"], float)
         if low := np.flatnonzero(r_squared < _LEAST_R_SQUARED).tolist():
             yield Message(
-                f"The model explains less than half of the training {quantity}'s variance of"
-                f" {listed([names[joint] for joint in low])}: check units, signs and the model's"
+                f"The model explains less than half of the variance of the training {quantity} at"
+                f" {listed([names[joint] for joint in low])}: check units, signs and friction"
                 " terms.",
                 "bad",
             )
@@ -146,30 +165,26 @@ class QualitySection(AbstractSection):
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         model = report.model
         quantity = model.output_quantity
-        kind, unit = (Column(name, numeric=False) for name in (model.output_kind, "unit"))
-        rms = f"root mean square of measured less predicted {quantity}"
-        percent = f"RMS error in % of the RMS {quantity} of the same samples"
-        r_squared = "share of the variance that the model explains"
+        kinds = {
+            "rms": Column("RMS error", f"root mean square of measured minus predicted {quantity}"),
+            "percent": Column("[%]", f"of the RMS {quantity} of the same samples", digits=3),
+            "r_squared": Column("R²", "share of the variance that the model explains", decimals=4),
+        }
         blocks: list[AbstractBlock] = []
-        for name, quality in self.data["quality"].items():
-            judged, everything = (quality[samples] for samples in _SAMPLES)
+        for name in validation_first(self.data["quality"]):
+            quality = self.data["quality"][name]
             columns = [
-                (kind, model.output_names),
-                (Column("RMS, judged", rms), judged["rms"]),
-                (Column("RMS, all"), everything["rms"]),
-                (unit, model.output_units),
-                (Column("judged [%]", percent, digits=3), judged["percent"]),
-                (Column("all [%]", digits=3), everything["percent"]),
-                (Column("R², judged", r_squared, decimals=4), judged["r_squared"]),
-                (Column("R², all", decimals=4), everything["r_squared"]),
+                (dataclasses.replace(column, title=column.title + title), quality[samples][kind])
+                for samples, title in (("judged", ""), ("all", ", all samples"))
+                for kind, column in kinds.items()
             ]
-            blocks.append(Table.from_columns(columns, f"{name} recording", f"errors-{name}"))
+            blocks.append(model.table(columns, f"{name} recording", f"errors-{name}"))
         yield Section(
             "Errors",
-            f"Measured less predicted {quantity}, as root mean square (RMS), in % of the RMS"
-            f" {quantity}, and as R², the share of the {quantity}'s variance that the model"
-            " explains. Judged samples are those that masks leave in; the others are at a"
-            " standstill or may be within backlash, where the model does not hold.",
+            f"Measured minus predicted {quantity}: root mean square (RMS), in % of the RMS"
+            f" {quantity}, and R², the share of the {quantity}'s variance that the model explains."
+            " Samples near standstill or possibly within backlash are masked, because the model"
+            " does not hold there. Columns with 'all samples' include them.",
             blocks,
         )
 
@@ -193,8 +208,9 @@ class QualitySection(AbstractSection):
             blocks.append(Paragraph("The files have no errors of the same joints to compare."))
         return Section(
             "Errors",
-            "Measured less predicted, each on its recordings: root mean square (RMS) in N m or N,"
-            " in % of the RMS torque, and R², the share of the variance that the model explains.",
+            "Measured minus predicted torque, each on its recordings: root mean square (RMS) in N m"
+            " or N, in % of the RMS torque, and R², the share of the variance that the model"
+            " explains.",
             blocks,
         )
 
@@ -241,39 +257,39 @@ class HeldOutSection(AbstractSection):
         held_out, kind = self.result(self.name, report), report.model.output_kind
         if held_out is not None:
             ratios = ", ".join(f"{ratio:.3g}" for ratio in held_out.ratio)
-            yield [f"{held_out.source} RMS over training RMS, {kind} by {kind}: {ratios}"]
+            yield [f"{held_out.source} RMS error over training RMS error, per {kind}: {ratios}"]
 
     def messages(self, report: AnyReport) -> Iterator[Message]:
         held_out = self.result(self.name, report)
         if held_out is None:
-            yield Message("Not judged on motion that was not fitted.", "caution")
+            yield Message("Not tested on held-out data.", "caution")
             return
         motion = _MOTION[held_out.source]
         beyond = [report.model.output_names[joint - 1] for joint in held_out.beyond_chance]
         if beyond:
             yield Message(
-                f"Errors on {motion} are larger than noise explains at {listed(beyond)}: the model"
-                " may lack a term.",
+                f"Held-out data ({motion}): errors at {listed(beyond)} are larger than noise"
+                " explains. The model may lack a term.",
                 "caution",
             )
         else:
-            yield Message(f"Errors on {motion} are no larger than noise explains.", "good")
+            yield Message(
+                f"Held-out data ({motion}): errors are no larger than noise explains.", "good"
+            )
 
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         held_out, model = self.result(self.name, report), report.model
         if held_out is None:
             return
-        limit = "largest ratio that noise explains"
+        limit = Column("limit", "largest ratio that noise explains", digits=3)
         columns = [
-            (Column(model.output_kind, numeric=False), model.output_names),
-            (Column("RMS, fitted"), held_out.training.tolist()),
-            (Column("RMS, held out"), held_out.held_out.tolist()),
-            (Column("unit", numeric=False), model.output_units),
+            (Column("RMS error, fitted"), held_out.training.tolist()),
+            (Column("RMS error, held-out"), held_out.held_out.tolist()),
             (Column("ratio", digits=3), held_out.ratio.tolist()),
-            (Column("limit", limit, digits=3), held_out.limit.tolist()),
+            (limit, held_out.limit.tolist()),
         ]
-        caption = f"motion that was not fitted ({held_out.source})"
-        yield Section("Errors", "", [Table.from_columns(columns, caption, "held-out")])
+        caption = f"Held-out data ({_MOTION[held_out.source]})"
+        yield Section("Errors", "", [model.table(columns, caption, "held-out")])
 
 
 class EstimatorSection(AbstractSection):
@@ -284,52 +300,37 @@ class EstimatorSection(AbstractSection):
     entries = MappingProxyType({"estimators": dict})
     position = 13
 
-    @classmethod
-    def document_of(cls, result: EstimatorComparison, report: AnyReport) -> Mapping[str, Any]:
-        return {"estimators": result.document()}
-
     def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         yield [estimator_text(open_errors(self.data["estimators"]), report.model.output_units)]
 
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         estimators = open_errors(self.data["estimators"])
-        motion = (
-            "the validation recording"
-            if estimators["held_out"] == "validation"
-            else "the last part of each training recording, predicted by fits to what is before it"
-        )
-        text = f"On {motion}: this report's coefficients are those of {estimators['used']}."
-        if estimators["change_error"] < math.inf:
-            change, error = 100 * math.expm1(estimators["change"]), 100 * estimators["change_error"]
-            text += (
-                f" With positions estimated, the misfit of maximum likelihood is {change:+.2g} % ±"
-                f" {error:.2g} % on average beside that of least squares."
-            )
+        relative = RelativeError(estimators["change"], estimators["change_error"], 0)
         ended = "converged" if estimators["converged"] else "did not converge"
-        text += f" Maximum likelihood {ended} after {estimators['steps']} steps."
-        if distance := estimators.get("lengths"):
-            line = presliding_line(distance, report.model.output_units)
+        text = (
+            f"Compared on {_MOTION[estimators['held_out']]}. The misfit of maximum likelihood is"
+            f" {relative} relative to least squares, on average. This report uses"
+            f" {estimators['used']}. Maximum likelihood {ended} after {estimators['steps']} steps."
+        )
+        if lengths := estimators.get("lengths"):
+            line = presliding_line(lengths, report.model.output_units)
             text += f" {line[0].upper()}{line[1:]}."
         columns = [
-            (Column(report.model.output_kind, numeric=False), report.model.output_names),
-            *(
-                (Column(f"RMS, {name}, {estimator}"), errors)
-                for kind, name in (("rms", "judged"), ("rms_all_samples", "all"))
-                for estimator, errors in estimators[kind].items()
-            ),
-            (Column("unit", numeric=False), report.model.output_units),
+            (Column(f"{estimator}{samples}"), errors)
+            for kind, samples in (("rms", ""), ("rms_all_samples", ", all samples"))
+            for estimator, errors in estimators[kind].items()
         ]
-        table = Table.from_columns(columns, "Torque errors by estimator", "estimators-table")
+        table = report.model.table(columns, "RMS torque error by estimator", "estimators-table")
         blocks: list[AbstractBlock] = [Paragraph(text), table]
         if spacing := estimators.get("spacing"):
             tried = "; ".join(spacing["lines"])
             blocks.append(Paragraph(f"Spacing of estimated positions: {tried}."))
         yield Section(
             "Estimators",
-            "Least squares regresses torque on smoothed motion. Maximum likelihood estimates the"
-            " true positions along with the coefficients and needs no smoothing. The table has"
-            " errors of smoothed motion, which favour least squares; the misfit is of readings and"
-            " torques when positions are estimated for the coefficients of each.",
+            "Least squares fits torque to smoothed motion. Maximum likelihood estimates the true"
+            " positions together with the coefficients, and needs no smoothing. The table uses"
+            " smoothed motion, which favours least squares. The misfit compares encoder readings"
+            " and torques with positions estimated for each set of coefficients.",
             blocks,
         )
 
@@ -341,10 +342,6 @@ class HorizonSection(AbstractSection):
     results = MappingProxyType({"horizon": None})
     entries = MappingProxyType({"horizon": dict})
     position = 14
-
-    @classmethod
-    def document_of(cls, result: HorizonError, report: AnyReport) -> Mapping[str, Any]:
-        return {"horizon": result.document()}
 
     def result(self, name: str, report: AnyReport) -> HorizonError:
         data = self.data[self.name]
@@ -363,11 +360,22 @@ class HorizonSection(AbstractSection):
 
     def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         table = str(self.result(self.name, report))
-        yield ["simulated open loop, median absolute error of positions", table]
+        yield ["simulated without feedback: median absolute position error", table]
+
+    def messages(self, report: AnyReport) -> Iterator[Message]:
+        horizon = self.result(self.name, report)
+        at = int(np.argmin(np.abs(horizon.horizons - _HORIZON)))
+        joint = int(np.argmax(horizon.error["fit"][at]))
+        yield Message(
+            f"Simulation without feedback: after {horizon.horizons[at]:g} s, the median position"
+            f" error is at most {horizon.error['fit'][at][joint]:.2g} {horizon.units[joint]}, at"
+            f" {report.model.output_names[joint]}.",
+            "plain",
+        )
 
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         horizon, names = self.data["horizon"], report.model.output_names
-        whose = "of this report, of its fit with pre-sliding states, or of the robot's file"
+        whose = "of this report, of its fit with pre-sliding friction, or of the robot's file"
         columns = [
             Column("horizon [s]"),
             Column("starts", "simulations that are that long"),
@@ -383,12 +391,12 @@ class HorizonSection(AbstractSection):
             )
             for which, errors in horizon["error"].items()
         )
-        table = Table(tuple(columns), rows, "Median absolute error of positions", "horizon")
+        table = Table(tuple(columns), rows, "Median absolute position error", "horizon")
         yield Section(
             "Prediction over a horizon",
-            "The arm simulated without feedback, from recorded states and under recorded torques:"
-            " how far its positions are from the recorded ones after some time. An empty cell is a"
-            " simulation that diverged.",
+            "The identified arm is simulated without feedback under the recorded torques, from"
+            " recorded states. The table shows how far its positions are from the recorded ones"
+            " after each horizon. An empty cell is a simulation that diverged.",
             [table],
         )
 

@@ -47,7 +47,7 @@ class SlopeSection(AbstractSection):
         if joints:
             yield [
                 f"slopes of static friction [s/rad or s/m]: {joints};"
-                " the intervals above allow for their errors"
+                " the intervals above include their errors"
             ]
 
 
@@ -77,20 +77,20 @@ class FrictionTrialSection(AbstractSection):
             Column("standard error [%]", digits=2),
             Column("length", "of pre-sliding", digits=3),
             Column("unit", numeric=False),
-            Column("", numeric=False, tones={"used": "good"}),
+            Column("result", numeric=False, tones={"used": "good"}),
         )
         rows = tuple(_row(trial, report.model.output_names) for trial in trials)
         yield Section(
             "Friction terms tried",
-            "Errors on stretches of the training recording that were left out of the fit, with a"
-            " term over those without it; of pre-sliding over all samples, of other terms over"
-            " those that masks leave in. Terms are used where they gain more than chance explains.",
-            [Table(columns, rows, "joint by joint, in the order of the trials", "friction-trials")],
+            "Errors on held-out segments of the training recording, with a term relative to without"
+            " it. Pre-sliding is tested over all samples, other terms over unmasked ones. A term is"
+            " used where it improves prediction by more than chance.",
+            [Table(columns, rows, "Per joint, in the order of the trials", "friction-trials")],
         )
 
 
 class PreSlidingSection(AbstractSection):
-    """Dry friction that yields before it slides."""
+    """Pre-sliding (Dahl) friction."""
 
     name = "pre_sliding"
     results = MappingProxyType({"pre_sliding": None})
@@ -147,9 +147,10 @@ class FrictionSection(AbstractSection):
             blocks.append(PanelChart((panel,), speed, ""))
         yield Section(
             "Friction",
-            "Each joint's friction over its velocity, training recording: the measured torque less"
-            " what all other terms predict, and the friction terms at the same samples. A curved"
-            " cloud beside a straight line calls for another friction term.",
+            "Friction of each joint over its velocity, training recording. Grey: measured torque"
+            " minus the prediction of all other terms. Colour: the friction terms at the same"
+            " samples. If the grey points bend away from the coloured ones, another friction term"
+            " is needed.",
             [Grid(tuple(blocks))],
         )
 

@@ -102,7 +102,7 @@ class SettingsSection(AbstractSection):
     name = "settings"
     results = MappingProxyType({"selection": None, "judged_part": None})
     entries = MappingProxyType({"settings": dict, "judged_part": str, "trials": list})
-    position = 30
+    position = 40
 
     always = True
 
@@ -142,22 +142,22 @@ class SettingsSection(AbstractSection):
             blocks.append(Paragraph(f"Long recording: {self.data['judged_part']}."))
         yield Section(
             "Settings",
-            "How recordings were smoothed and masked and coefficients fitted. What was not set was"
-            " selected by cross-validation within the training recording: each trial was fitted to"
-            " all stretches but one and judged on that one.",
+            "Smoothing, masks and options of the fit. What was not set was selected by"
+            " cross-validation within the training recording: each candidate was fitted to all"
+            " segments except one and tested on that one.",
             blocks + self._trials(),
         )
 
     def _trials(self) -> list[AbstractBlock]:
         trials = self.data.get("trials")
         if not trials:
-            return [Paragraph("They were set, not selected.")]
+            return [Paragraph("Set by the user, not selected.")]
         best = trials[0]["score"]
         columns = (
             Column("settings", numeric=False, wide=True, longest=400),
-            Column("score", "geometric mean of held-out errors of all joints"),
-            Column("to the best", digits=3),
-            Column("", numeric=False, tones={"used": "good"}),
+            Column("score", "geometric mean of the held-out errors of all joints"),
+            Column("relative to the best", digits=3),
+            Column("result", numeric=False, tones={"used": "good"}),
         )
         rows = tuple(
             (
@@ -167,11 +167,11 @@ class SettingsSection(AbstractSection):
             for trial in trials
         )
         blocks: list[AbstractBlock] = [
-            Table(columns, rows[:_FIRST_TRIALS], "Best trials", "trials")
+            Table(columns, rows[:_FIRST_TRIALS], "Best candidates", "trials")
         ]
         if len(rows) > _FIRST_TRIALS:
             others = Table(columns, rows[_FIRST_TRIALS:], name="other-trials")
-            blocks.append(Details(f"{len(rows) - _FIRST_TRIALS} other trials", (others,)))
+            blocks.append(Details(f"{len(rows) - _FIRST_TRIALS} other candidates", (others,)))
         return blocks
 
     @classmethod
@@ -214,7 +214,7 @@ class GroupsSection(AbstractSection):
     def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         yield [
             f"re-identified: {', '.join(self.result(self.name, report))}; all other coefficients"
-            " are fixed at those of the previous identification"
+            " are kept from the previous identification"
         ]
 
 
@@ -225,15 +225,11 @@ class PriorSection(AbstractSection):
     results = MappingProxyType({"prior": None})
     entries = MappingProxyType({"prior": dict})
 
-    @classmethod
-    def document_of(cls, result: Prior, report: AnyReport) -> Mapping[str, Any]:
-        return {"prior": result.document()}
-
     def result(self, name: str, report: AnyReport) -> Prior:
         return prior_from(self.data["prior"], "prior")
 
     def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
-        yield [f"known before: {self.result(self.name, report)}"]
+        yield [f"prior knowledge: {self.result(self.name, report)}"]
 
 
 class RepeatSection(AbstractSection):
@@ -242,7 +238,7 @@ class RepeatSection(AbstractSection):
     name = "command"
     results = MappingProxyType({"command": None})
     entries = MappingProxyType({"command": str, "versions": dict})
-    position = 40
+    position = 50
 
     always = True
 
@@ -260,15 +256,15 @@ class RepeatSection(AbstractSection):
         if "command" in self.data:
             blocks.append(Code(self.data["command"]))
         if numbers := self.data.get("versions"):
-            blocks.append(Code("\n".join(f"{name} {number}" for name, number in numbers.items())))
+            blocks.append(Paragraph(", ".join(f"{name} {x}" for name, x in numbers.items()) + "."))
         if report.settings is not None:  # as of a file that holds a fit alone
             settings = plain(settings_document(report.settings))
             text = json.dumps(settings, indent=2, ensure_ascii=False)
             blocks.append(Details("Settings, as --settings reads them", (Code(text),)))
         yield Section(
             "To repeat it",
-            "The command, if it was one, and the versions of the libraries that computed it."
-            " With --settings identification.json the same settings are used again.",
+            "The command and the versions of the libraries. With --settings identification.json the"
+            " same settings are used again.",
             blocks,
         )
 

@@ -9,11 +9,21 @@ from jaxtyping import Float
 
 from jaxcslc.checks import DataCheck, Finding
 from jaxcslc.recordings import Patterns
-from jaxcslc.uncertainty import SeveralFit, several_text
+from jaxcslc.uncertainty import several_text
 
 from .._charts import Curve, Panel, PanelChart, envelope, intervals, rounded
-from .._page import AbstractBlock, Column, Message, Messages, Section, Table
-from .._section import AbstractSection, AnyReport, axis_title, counted
+from .._coefficients import ModelDescription
+from .._page import (
+    AbstractBlock,
+    Column,
+    Details,
+    Grid,
+    Message,
+    Messages,
+    Section,
+    Table,
+)
+from .._section import AbstractSection, AnyReport, axis_title, counted, validation_first
 
 
 # Points of all curves of a page, which keep it below 8 MB; of a curve.
@@ -21,8 +31,8 @@ _ALL_POINTS, _MOST_POINTS, _LEAST_POINTS = 150_000, 5000, 200
 # A gap of more sampling intervals breaks curves.
 _GAP = 10
 _DATA_CHECK = (
-    "What the recordings hold after smoothing, and what looks wrong with them or the fit."
-    " Samples near standstill and possibly within backlash are masked: they are not fitted."
+    "The recordings after smoothing, and warnings about them or the fit. Samples near standstill or"
+    " possibly within backlash are masked: they are not fitted."
 )
 
 
@@ -32,7 +42,7 @@ class WarningSection(AbstractSection):
     name = "warnings"
     results = MappingProxyType({"warnings": (), "data_check": None, "notes": ()})
     entries = MappingProxyType({"warnings": list, "findings": list, "notes": list})
-    position = 0
+    position = 30
 
     always = True
 
@@ -63,11 +73,13 @@ class WarningSection(AbstractSection):
 
     def messages(self, report: AnyReport) -> Iterator[Message]:
         if count := len([*self._findings(), *self.data.get("warnings", ())]):
-            yield Message(f"{counted(count, 'warning')} about data and fit.", "caution")
+            yield Message(
+                f"{counted(count, 'warning')} about the recordings or the fit.", "caution"
+            )
 
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         messages = tuple(map(Message, [*self._findings(), *self.data.get("warnings", ())]))
-        blocks: list[AbstractBlock] = [Messages(messages, empty="Nothing looks wrong.")]
+        blocks: list[AbstractBlock] = [Messages(messages, empty="No warnings.")]
         if notes := self.data.get("notes"):
             blocks.append(Messages(tuple(Message(note, "plain") for note in notes)))
         yield Section("Data check", _DATA_CHECK, blocks)
@@ -87,7 +99,7 @@ class RecordingSection(AbstractSection):
 
     name = "recorded"
     entries = MappingProxyType({"recorded": dict})
-    position = 1
+    position = 31
 
     @classmethod
     def document_of(cls, result: None, report: AnyReport) -> Mapping[str, Any]:
@@ -96,10 +108,7 @@ class RecordingSection(AbstractSection):
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         model = report.model
         units = dict.fromkeys("m" if unit == "N" else "rad" for unit in model.output_units)
-        position, fitted = (
-            " or ".join(units),
-            Column("fitted [%]", "samples that masks leave in", 3),
-        )
+        position = " or ".join(units)
         blocks: list[AbstractBlock] = []
         for name, recording in self.data["recorded"].items():
             rate = "" if not recording["interval"] else f", {1 / recording['interval']:.4g} Hz"
@@ -108,8 +117,11 @@ class RecordingSection(AbstractSection):
                 f" {recording['duration']:.4g} s{rate}"
             )
             columns: list[tuple[Column, Sequence[Any]]] = [
-                (Column(model.output_kind, numeric=False), model.output_names),
-                (fitted, [100 * share for share in recording["share_judged"]]),
+                (Column(f"RMS {model.output_quantity}"), recording["torque_rms"]),
+                (
+                    Column("unmasked [%]", "share of samples", 3),
+                    [100 * share for share in recording["share_judged"]],
+                ),
             ]
             if recording["lowest"] is not None:
                 columns += [
@@ -117,11 +129,7 @@ class RecordingSection(AbstractSection):
                     (Column("highest", decimals=3), recording["highest"]),
                     (Column("top speed [per s]", decimals=3), recording["top_speed"]),
                 ]
-            columns += [
-                (Column(f"RMS {model.output_quantity}"), recording["torque_rms"]),
-                (Column("unit", numeric=False), model.output_units),
-            ]
-            blocks.append(Table.from_columns(columns, caption, f"data-{name}"))
+            blocks.append(model.table(columns, caption, f"data-{name}"))
         yield Section("Data check", _DATA_CHECK, blocks)
 
 
@@ -131,11 +139,7 @@ class SeveralSection(AbstractSection):
     name = "several"
     results = MappingProxyType({"several": None})
     entries = MappingProxyType({"recordings": dict})
-    position = 2
-
-    @classmethod
-    def document_of(cls, result: SeveralFit, report: AnyReport) -> Mapping[str, Any]:
-        return {"recordings": result.document()}
+    position = 32
 
     def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         yield [several_text(self.data["recordings"])]
@@ -145,7 +149,7 @@ class SeveralSection(AbstractSection):
         columns = [
             Column("recording", numeric=False),
             Column("samples"),
-            Column("differs in", "coefficients, beyond chance", numeric=False, wide=True),
+            Column("differs in", "coefficients, by more than chance", numeric=False, wide=True),
             *(
                 Column(f"RMS residual, {axis_title(joint, unit)}", digits=3)
                 for joint, unit in zip(model.output_names, model.output_units, strict=True)
@@ -155,7 +159,7 @@ class SeveralSection(AbstractSection):
             (name, entry["samples"], ", ".join(entry["differing"]) or "none", *entry["noise"])
             for name, entry in self.data["recordings"].items()
         )
-        caption = "Training recordings, each against all others together"
+        caption = "Training recordings, each compared with all others together"
         yield Section("Data check", "", [Table(tuple(columns), rows, caption, "several")])
 
 
@@ -178,31 +182,50 @@ class CurveSection(AbstractSection):
         }
 
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
-        model = report.model
         blocks: list[AbstractBlock] = []
-        for name, recording in self.data["curves"].items():
-            panels: list[Panel] = []
-            rows = zip(model.output_names, model.output_units, recording, strict=True)
-            for joint, unit, curves in rows:
-                measured, predicted, residual = (
-                    Curve(look, curves[look]["x"], curves[look]["y"], look)
-                    for look in ("measured", "predicted", "residual")
-                )
-                masked = tuple((start, end) for start, end in curves["masked"])
-                panels.append(Panel(axis_title(joint, unit), (measured, predicted), masked, 150))
-                limits, title = curves["residual_range"], axis_title("residual", unit)
-                panels.append(Panel(title, (residual,), masked, 60, limits))
-            caption = (
-                f"{name} recording: measured and predicted {model.output_quantity}, and their"
-                " difference"
-            )
-            blocks.append(PanelChart(tuple(panels), "time [s]", caption))
+        for name in validation_first(self.data["curves"]):
+            charts_of_joints = Grid(tuple(self._details(report, name)))
+            title = f"{name} recording"
+            blocks.append(Details(title, (charts_of_joints,), opened=not blocks))
         yield Section(
-            f"Measured and predicted {model.output_quantity}",
-            "Masked samples are shaded; the axes of residuals are those of the fitted samples. Long"
+            f"Measured and predicted {report.model.output_quantity}",
+            "Masked samples are shaded. The axes of residuals fit the unmasked samples. Long"
             " recordings are drawn by their extremes.",
             blocks,
         )
+
+    def _details(self, report: AnyReport, name: str) -> Iterator[Details]:
+        """Yield a chart for each joint, its error in the summary."""
+        model, quality = report.model, report.section("quality")
+        errors = None if quality is None else quality.data["quality"][name]["judged"]
+        for joint, output in enumerate(model.output_names):
+            summary = output
+            if errors is not None and errors["percent"][joint] is not None:
+                rms = f"{errors['rms'][joint]:.3g} {model.output_units[joint]}".strip()
+                summary += f": RMS error {rms}, {errors['percent'][joint]:.3g} %"
+            chart = curve_chart(self.data["curves"][name][joint], model, joint, name)
+            yield Details(summary, (chart,), opened=True)
+
+
+def curve_chart(
+    curves: Mapping[str, Any], model: ModelDescription, joint: int, name: str
+) -> PanelChart:
+    """Return the chart of measured and predicted torque of a joint, and of their difference.
+
+    - `curves`: of the joint, as a section's data have them.
+    - `name`: of the recording.
+    """
+    output, unit = model.output_names[joint], model.output_units[joint]
+    measured, predicted, residual = (
+        Curve(look, curves[look]["x"], curves[look]["y"], look)
+        for look in ("measured", "predicted", "residual")
+    )
+    masked = tuple((start, end) for start, end in curves["masked"])
+    panels = (
+        Panel(axis_title(output, unit), (measured, predicted), masked, 150),
+        Panel(axis_title("residual", unit), (residual,), masked, 60, curves["residual_range"]),
+    )
+    return PanelChart(panels, "time [s]", "", group=name)
 
 
 def _recorded(report: AnyReport, name: str) -> dict[str, Any]:

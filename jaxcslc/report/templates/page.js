@@ -24,18 +24,78 @@
     });
   });
   if (typeof Plotly === "undefined") return;
-  const options = { responsive: true, displaylogo: false, showSendToCloud: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "zoomIn2d", "zoomOut2d", "autoScale2d"] };
+
   const touch = window.matchMedia("(pointer: coarse)").matches;
-  const charts = Array.from(document.querySelectorAll("script[data-chart]"));
-  function draw() {
-    const source = charts.shift();
-    if (!source) return;
-    const figure = JSON.parse(source.textContent);
-    if (touch) figure.layout.dragmode = false; // a finger scrolls the page
-    Plotly.newPlot(source.dataset.chart, figure.data, figure.layout, options).then(() => setTimeout(draw, 0));
+  const dark = window.matchMedia("(prefers-color-scheme: dark)");
+  const sources = Array.from(document.querySelectorAll("script[data-chart]"));
+  const figures = new Map(sources.map((source) => [source.dataset.chart, source]));
+
+  // A chart's data and layout in the colours of the page.
+  function figure(name) {
+    const { data, layout } = JSON.parse(figures.get(name).textContent);
+    const style = getComputedStyle(document.documentElement);
+    const colour = (variable) => style.getPropertyValue(variable).trim();
+    layout.paper_bgcolor = layout.plot_bgcolor = colour("--page");
+    layout.font.color = colour("--text");
+    for (const axes of [layout, layout.scene || {}]) {
+      for (const axis of Object.keys(axes).filter((key) => /^[xyz]axis/.test(key))) {
+        Object.assign(axes[axis], { gridcolor: colour("--line"), zerolinecolor: colour("--strong"), color: colour("--text") });
+      }
+    }
+    data.filter((trace) => trace.type === "heatmap").forEach((trace) => (trace.colorscale[1][1] = colour("--page")));
+    if (touch) layout.dragmode = false; // a finger scrolls the page
+    return { data, layout };
   }
-  draw();
+  const options = { responsive: true, displaylogo: false, displayModeBar: false };
+
+  function draw(name) {
+    const { data, layout } = figure(name);
+    return Plotly.react(name, data, layout, options);
+  }
+  // Charts of one group have the same range of x.
+  let leading = false;
+  function follow(chart) {
+    chart.on("plotly_relayout", function (change) {
+      const range = Object.entries(change).filter(([key]) => key.startsWith("xaxis."));
+      if (leading || !range.length) return;
+      leading = true;
+      const others = Array.from(document.querySelectorAll(".js-plotly-plot[data-group]"));
+      const same = others.filter((other) => other !== chart && other.dataset.group === chart.dataset.group);
+      Promise.all(same.map((other) => Plotly.relayout(other, Object.fromEntries(range)))).finally(() => (leading = false));
+    });
+  }
+  const waiting = Array.from(figures.keys());
+  (function next() {
+    const name = waiting.shift();
+    if (!name) return;
+    draw(name).then(function (chart) {
+      if (chart.dataset.group) follow(chart);
+      setTimeout(next, 0);
+    });
+  })();
+  dark.addEventListener("change", () => figures.forEach((_, name) => draw(name)));
   document.querySelectorAll("details").forEach(function (part) {
     part.addEventListener("toggle", () => part.querySelectorAll(".js-plotly-plot").forEach((chart) => Plotly.Plots.resize(chart)));
   });
+
+  const dialog = document.getElementById("large");
+  const large = dialog.querySelector(".large");
+  document.querySelectorAll("[data-enlarge]").forEach(function (button) {
+    button.addEventListener("click", function () {
+      const { data, layout } = figure(button.dataset.enlarge);
+      dialog.showModal();
+      layout.height = large.clientHeight;
+      Plotly.newPlot(large, data, layout, { ...options, displayModeBar: true });
+    });
+  });
+  dialog.querySelector(".close").addEventListener("click", () => dialog.close());
+  dialog.addEventListener("close", () => Plotly.purge(large));
+
+  // Paper has four charts beside each other.
+  const paper = { width: 390, height: 260 };
+  window.addEventListener("beforeprint", function () {
+    waiting.splice(0).forEach(draw);
+    document.querySelectorAll(".chart.js-plotly-plot").forEach((chart) => Plotly.relayout(chart, { ...paper, autosize: false }));
+  });
+  window.addEventListener("afterprint", () => figures.forEach((_, name) => draw(name)));
 })();
