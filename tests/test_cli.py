@@ -40,7 +40,7 @@ class TestIdentify:
     def test_prints_coefficients_and_errors(self, identified: tuple[Result, Path]) -> None:
         result, _ = identified
         assert result.exit_code == 0, result.output
-        for text in ("settings: ", "kM26", "kd6", "determined", "rank 43 of 43", "mean ε"):
+        for text in ("settings: ", "kM26", "kd6", "determined", "rank 43 of 43", "RMS error"):
             assert text in result.output
 
     def test_writes_what_a_user_goes_on_with(self, identified: tuple[Result, Path]) -> None:

@@ -30,6 +30,7 @@ COMMON = {
         "_field_types",
         "_plain_data",
         "_processes",
+        "_progress",
         "_rank",
         "_scratch",
         "_text_table",

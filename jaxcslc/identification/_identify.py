@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from .._processes import can_fork, computed_beside
+from .._progress import Progress, steps
 from ..bodies import Choice, Prior
 from ..checks import AGREEMENT_KINDS, DataCheck, check
 from ..friction import PreSlidingFit, along_motion, fit_pre_sliding, fit_slopes
@@ -218,7 +219,7 @@ def identify(
     prior: Prior | None = None,
     memory: float = 2.0,
     horizon: bool = False,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress = None,
 ) -> Report:
     """Identifies a robot's coefficients from a recording, and judges the result.
 
@@ -278,7 +279,9 @@ def identify(
       (or of the longest training recording), beside the one of the robot's file and that with a
       pre-sliding state, where one is used, and report how far its positions are off after 0.1 to
       5 s (`report.horizon`).
-    - `progress`: is called with a few words at the start of each step.
+    - `progress`: a function that is called with a few words at the start of each step; or True to
+      show the steps in a line, False to show none. By default they are shown in notebooks and at
+      Python's prompt, but not in programs. `TQDM_DISABLE=1` turns them off everywhere.
 
     **Returns** a `Report`.
 
@@ -323,7 +326,8 @@ def identify(
         horizon=horizon,
     )
     check_request(request)
-    return _identified(request, chosen, progress or (lambda words: None))
+    with steps(progress, f"identify {network.name}") as step:
+        return _identified(request, chosen, step)
 
 
 def _identified(

@@ -1,12 +1,13 @@
 """Torque constants of drives, from recordings with known loads."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from .._progress import Progress, steps
 from ..least_squares import (
     Equations,
     Identification,
@@ -103,7 +104,7 @@ def identify_torque_constants(
     mass: float,
     settings: Settings | None = None,
     *,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress = None,
 ) -> TorqueConstants:
     """Identifies the torque constants of all joints with a payload of known mass.
 
@@ -119,7 +120,7 @@ def identify_torque_constants(
     - `unloaded`, `loaded`: recordings without and with the payload, whose `torque` holds currents.
     - `mass`: of the payload [kg].
     - `settings`: of preparation and fit; the library's defaults if None.
-    - `progress`: is called with a few words at the start of each step.
+    - `progress`: as of `identify`.
 
     **Returns** the constants.
 
@@ -132,15 +133,16 @@ def identify_torque_constants(
 
     An example stands at `TorqueConstants`.
     """
-    step = progress or (lambda words: None)
     settings = (settings or Settings()).for_network(network)
-    step("preparing patterns")
-    patterns: list[Patterns] = []
-    for name, recording in (("unloaded", unloaded), ("loaded", loaded)):
-        with recording_named(f"{name} recording"):
-            patterns.append(settings.patterns(recording))
-    step("fitting torque constants")
-    return fit_torque_constants(network, patterns[0], patterns[1], mass, solver=settings.solver)
+    with steps(progress, "torque constants") as step:
+        step("preparing patterns")
+        patterns: list[Patterns] = []
+        for name, recording in (("unloaded", unloaded), ("loaded", loaded)):
+            with recording_named(f"{name} recording"):
+                patterns.append(settings.patterns(recording))
+        step("fitting torque constants")
+        first, second = patterns
+        return fit_torque_constants(network, first, second, mass, solver=settings.solver)
 
 
 def fit_torque_constants(

@@ -58,6 +58,11 @@ class ModelDescription:
         """True if outputs are torques of joints of a robot."""
         return self.output_kind == "joint"
 
+    @property
+    def error_kind(self) -> str:
+        """What errors are of: torque, or equations."""
+        return "torque" if self.per_joint else self.output_kind
+
     def table(
         self, columns: Iterable[tuple[Column, Sequence[Value]]], caption: str = "", name: str = ""
     ) -> Table:

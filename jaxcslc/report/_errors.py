@@ -32,21 +32,20 @@ class ErrorTable(eqx.Module):
     **Attributes**
 
     - `names`: of the vectors.
-    - `mean_modulus`: (vectors, n), mean |error| of each joint over the judged samples, those in
+    - `mean_modulus`: (vectors, n), mean |error| of each joint over the unmasked samples, those in
       `Patterns.mask` [N m].
     - `rms`: (vectors, n), root mean square of the same errors [N m].
     - `epsilon`: (vectors,), mean error cost: half the root mean square over the joints of one
       pattern's errors, averaged over patterns (7.5) [N m]. Joints outside the mask of a pattern
-      are left out of its mean.
+      are excluded from its mean.
     - `rms_all_samples`: (vectors, n), root mean square error over all samples, masked ones
       included [N m].
-    - `share_judged`: (n,) judged samples of each joint over all samples, from 0 to 1.
+    - `share_judged`: (n,) unmasked samples of each joint over all samples, from 0 to 1.
     - `unit`: of all errors; for a robot with joints of both kinds `"N m or N"`, joint by joint.
     - `kind`, `labels`: what the outputs are called, `"joint"` or `"equation"`, and their numbers or
       names; numbers if omitted.
 
-    `print` shows the thesis's table and, below it, RMS errors of judged and of all samples;
-    `rows()` and `rms_rows()` return the two as data.
+    `print` shows the thesis's table, which `rows()` returns as data, and RMS errors below it.
 
     >>> import jax.numpy as jnp, jaxcslc as jc
     >>> error, all_samples = jnp.array([[0.25]]), jnp.array([[0.75]])
@@ -60,8 +59,8 @@ class ErrorTable(eqx.Module):
     mean |e1|  0.25
     mean ε     0.125
     <BLANKLINE>
-    RMS [N m]  judged samples   fit  fit, all samples
-    joint 1              50 %  0.25              0.75
+    RMS [N m]   fit
+    joint 1    0.25
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -92,26 +91,6 @@ class ErrorTable(eqx.Module):
             rows.append({"": "mean ε", **dict(zip(self.names, mean, strict=True))})
         return rows
 
-    def rms_rows(self) -> list[dict[str, float | int | str]]:
-        """Return one row per joint or equation: the share of judged samples, and RMS errors.
-
-        RMS errors are those of each vector over the judged and over all samples.
-        """
-        share, rms, all_samples = (
-            np.asarray(values).tolist()
-            for values in (self.share_judged, self.rms, self.rms_all_samples)
-        )
-        return [
-            {self.kind: int(label) if label.isdigit() else label, "share_judged": share[joint]}
-            | {f"rms_{name}": row[joint] for name, row in zip(self.names, rms, strict=True)}
-            | {
-                f"rms_all_samples_{name}": row[joint]
-                for name, row in zip(self.names, all_samples, strict=True)
-            }
-            for joint in range(len(share))
-            for label in (self._label(joint),)
-        ]
-
     def _label(self, joint: int) -> str:
         return self.labels[joint] if self.labels else str(joint + 1)
 
@@ -131,18 +110,12 @@ class ErrorTable(eqx.Module):
             [[str(row[""]), *(f"{row[name]:.4g}" for name in self.names)] for row in self.rows()],
         )
         unit = f" [{self.unit}]" if self.unit else ""
-        header = [f"RMS{unit}", "judged samples", *self.names]
-        header += [f"{name}, all samples" for name in self.names]
-        share, rms, all_samples = map(
-            np.asarray, (self.share_judged, self.rms, self.rms_all_samples)
-        )
-        labels = [self._label(joint) for joint in range(len(share))]
+        labels = [self._label(joint) for joint in range(len(self.share_judged))]
         cells = [
-            [f"{self.kind} {label}" if label.isdigit() else label, f"{100 * share[joint]:.3g} %"]
-            + [f"{value:.4g}" for value in (*rms[:, joint], *all_samples[:, joint])]
-            for joint, label in enumerate(labels)
+            [f"{self.kind} {label}" if label.isdigit() else label, *(f"{x:.4g}" for x in rms)]
+            for label, rms in zip(labels, np.asarray(self.rms).T, strict=True)
         ]
-        return f"{errors}\n\n{text_table(header, cells)}"
+        return f"{errors}\n\n{text_table([f'RMS{unit}', *self.names], cells)}"
 
 
 def compare(
@@ -155,7 +128,7 @@ def compare(
     **Arguments**
 
     - `network`: n joints, p coefficients.
-    - `patterns`: motion and torque; pairs outside `patterns.mask` are left out.
+    - `patterns`: motion and torque; pairs outside `patterns.mask` are excluded.
     - `vectors`: (p,) coefficients by name.
 
     **Returns** an `ErrorTable`.

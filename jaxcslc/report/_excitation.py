@@ -110,7 +110,7 @@ def degree_of_excitation(network: AbstractLinearNetwork, patterns: Patterns) -> 
     **Arguments**
 
     - `network`: n joints, p coefficients.
-    - `patterns`: motion; pairs outside `patterns.mask` are left out.
+    - `patterns`: motion; pairs outside `patterns.mask` are excluded.
 
     **Returns** an `Excitation`.
 

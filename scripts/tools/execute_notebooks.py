@@ -33,6 +33,7 @@ def execute(path: Path) -> Any:
     notebook = nbformat.read(path, as_version=4)
     # A backend of pictures in the environment is for programs without a notebook.
     environment = {name: text for name, text in os.environ.items() if name != "MPLBACKEND"}
+    environment["TQDM_DISABLE"] = "1"  # lines of progress have times
     client = NotebookClient(
         notebook,
         timeout=LONGEST,

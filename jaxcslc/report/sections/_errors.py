@@ -55,7 +55,7 @@ class ErrorSection(AbstractSection):
 
     @classmethod
     def document_of(cls, result: Mapping[str, ErrorTable], report: AnyReport) -> Mapping[str, Any]:
-        stem = "torque" if report.model.per_joint else report.model.output_kind
+        stem = report.model.error_kind
         whole = {name: table.rms_all_samples[0] for name, table in result.items()}
         return {
             f"{stem}_error_rms": {name: table.rms[0] for name, table in result.items()},
@@ -96,7 +96,7 @@ class ErrorSection(AbstractSection):
                 for joint, unit, *values in rows
             ]
             header = [model.output_kind, "unit", *columns]
-            title = f"{model.output_quantity} error, {name} recording"
+            title = f"{model.error_kind} error, {name} recording"
             yield [title, text_table(header, cells, left=("unit",))]
 
     def tables(self, report: AnyReport) -> Mapping[str, Sequence[Mapping[str, Any]]]:
@@ -149,8 +149,8 @@ class QualitySection(AbstractSection):
         judged, every = _range(percent), _range(whole)
         masked = "" if judged == every else f" ({every} % with masked samples)"
         yield Message(
-            f"Replay of the {name} recording: the {quantity} error is {judged} % of the RMS"
-            f" {quantity}{masked}, largest at {names[worst]}.",
+            f"Replay of the {name} recording: the {report.model.error_kind} error is {judged} % of"
+            f" the RMS {quantity}{masked}, largest at {names[worst]}.",
             tone,
         )
         r_squared = np.asarray(qualities["training"]["judged"]["r_squared"], float)
