@@ -166,7 +166,9 @@ EXCLUSIONS = (
         "identify: offsets= expects several recordings; for one use the friction term 'offset'",
     ),
     *(
-        Exclusion(features, f"identify: friction of kind {{r.load_kinds}} cannot be combined with {what}")
+        Exclusion(
+            features, f"identify: friction of kind {{r.load_kinds}} cannot be combined with {what}"
+        )
         for features, what in (
             ((f"unsupported {LOAD_FRICTION}",), "the estimator {r.estimator!r}"),
             ((LOAD_FRICTION, SEVERAL), "several recordings in one fit"),

@@ -90,9 +90,7 @@ def estimator_text(document: Mapping[str, Any], units: Sequence[str]) -> str:
     - `units`: of each joint's torque.
     """
     relative = RelativeError(document["change"], document["change_error"], 0)
-    lines = [
-        f"estimators, {document['held_out']} RMS over unmasked samples (over all), per joint:"
-    ]
+    lines = [f"estimators, {document['held_out']} RMS over unmasked samples (over all), per joint:"]
     for name, values in document["rms"].items():
         pairs = zip(values, document["rms_all_samples"][name], strict=True)
         lines.append(

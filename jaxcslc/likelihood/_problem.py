@@ -164,8 +164,8 @@ def check_prior(prior: Prior | None, *, possible: bool) -> None:
     entries: dict[str, Known] = {} if prior is None else dict(prior.coefficients)
     if prior is not None and prior.links and not possible:
         raise ValueError(
-            "prior: maximum likelihood takes coefficients, got links, which possible bodies alone"
-            " can follow"
+            "prior: maximum likelihood takes coefficients; [links] needs physically consistent"
+            " parameters (possible)"
         )
     for name, entry in entries.items():
         if entry.value is None or entry.low > -np.inf or entry.high < np.inf:

@@ -408,7 +408,7 @@ class Report(AbstractReport[CSLC]):
     >>> recording = jc.examples.swing_recording(network, [0.5, 0.3, -0.1, 0.2, 0.05])
     >>> report = jc.identify(network, recording, settings=jc.Settings())
     >>> report.to_pandas().index.tolist()
-    ['kM1', 'kG1', 'kG2', 'kv1', 'kd1']
+    ['kB1', 'kB2', 'kB3', 'kv1', 'kd1']
     >>> report["kv1"]
     kv1 = 0.2 N m s/rad, 95 % interval 0.2 to 0.2, well determined
     >>> tuple(report.errors), report["kv1"]["unit"], report.sample(64).shape

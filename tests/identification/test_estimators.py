@@ -163,7 +163,9 @@ class TestBadInput:
             jc.identify(network, swing(network, 0), likelihood=options, **QUICK)
 
     def test_a_re_identification(self, network: jc.CSLC) -> None:
-        with pytest.raises(ValueError, match="'auto': cannot be combined with previous; expected least-squ"):
+        with pytest.raises(
+            ValueError, match="'auto': cannot be combined with previous; expected least-squ"
+        ):
             jc.identify(*(network, swing(network, 0)), previous=K, groups=["dry"], estimator="auto")
 
     def test_too_short_to_be_judged(self, network: jc.CSLC) -> None:
