@@ -100,7 +100,7 @@ GROUPS: dict[str, Group] = {
         " the default disturbances, twenty steps from bodies a fifth too large; the direct solve of"
         " the same patterns, and all of `jaxcslc.identify` with settings of its choice. Torque"
         " errors are on these patterns, over the torque. The toolbox minimises errors of simulated"
-        " motion instead, which 6.6 s hardly tell from other bodies': after five steps its torque"
+        " motion instead, which 6.6 s barely tell from other bodies': after five steps its torque"
         " error is 0.32, and grows. It is a time beside a time, no ranking of accuracy.",
         long=True,
     ),

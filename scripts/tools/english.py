@@ -53,6 +53,8 @@ PHRASES: dict[str, str] = {
     r"\btells? of\b": "says about",
     r"\bnobody knows\b": "a subject that can do what the verb says",
     r"\bas ever\b": "as usual",
+    r"\bhardly\b": "little, barely",
+    r"\bto and fro\b": "back and forth, alternates",
     r"\bgo(?:es)? astray\b": "fails",
 }
 # What a page of figures has, and a guide has not.
