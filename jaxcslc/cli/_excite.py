@@ -275,8 +275,7 @@ def excite_command(
             duration=options.duration,
             family=options.family,
             start=options.start_pose(),
-            seed=options.seed,
-            effort=Effort(options.starts),
+            effort=Effort(options.starts, seed=options.seed),
             progress=step,
         )
         paths = save_design(design, options.output, command=context.text())

@@ -14,7 +14,7 @@ from ._controller import (
     Joints,
     PerJoint,
     Reference,
-    coefficients_of,
+    checked_coefficients,
     conditional_integration,
     error_gains,
     per_joint,
@@ -125,7 +125,7 @@ class ComputedTorque(AbstractController):
                 raise ValueError(f"compensation has {term!r}; expected some of {names}")
         if friction_at not in ("measured", "reference"):
             raise ValueError(f"friction_at is {friction_at!r}; expected 'measured' or 'reference'")
-        self.network, self.k = network, coefficients_of(network, k)
+        self.network, self.k = network, checked_coefficients(network, k)
 
         def values(name: str, argument: PerJoint) -> Float[Array, " joints"]:
             return jnp.asarray(per_joint(name, argument, n, 0.0))

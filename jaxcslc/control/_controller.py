@@ -112,7 +112,7 @@ def required_velocity(controller: AbstractController, qd: Joints | None) -> Join
     return qd
 
 
-def coefficients_of(
+def checked_coefficients(
     network: CSLC, k: Float[Array | np.ndarray, " coefficients"]
 ) -> Float[Array, " coefficients"]:
     """Return coefficients as JAX's array. **Raises** `ValueError` for another network's."""

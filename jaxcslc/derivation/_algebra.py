@@ -32,10 +32,10 @@ from ._tables import (
     Coefficient,
     Column,
     ProductTable,
+    addend_unit,
     positive_by_construction,
     sum_text,
     table,
-    unit_of,
 )
 
 
@@ -215,11 +215,11 @@ def _with_symbols(
             " of gravity; give it another"
         )
 
-    def length_of(length: Length, name: str) -> Any:
+    def exact_length(length: Length, name: str) -> Any:
         symbol = length.symbol or name
         return ring.constant(symbol) if symbol in named else exact_number(length.value or 0.0)
 
-    twists = _twists(robot, ring, length_of)
+    twists = _twists(robot, ring, exact_length)
     mass = mass_matrix(ring, twists, terms)
     weight = gravity_vector(ring, twists, terms)
 
@@ -401,7 +401,7 @@ def _coefficient(
         name,
         group,
         sum_text((addend.factor, addend.label) for addend in addends),
-        unit_of(addends[0], prismatic=kind == "P", gravity=accelerations),
+        addend_unit(addends[0], prismatic=kind == "P", gravity=accelerations),
         positive_by_construction(addends, accelerations),
         tuple(addends),
     )

@@ -198,7 +198,7 @@ class PositionRing:
                 else:
                     del target[key]
 
-        for angle, sign in self._angles_of(joint):
+        for angle, sign in self._angles_in(joint):
             cos, sin = 2 * angle, 2 * angle + 1
             for monomial, form in polynomial.items():
                 power = monomial[cos]
@@ -223,7 +223,7 @@ class PositionRing:
                     put(row, form, monomial[at])
         return {monomial: form for monomial, form in result.items() if form}
 
-    def _angles_of(self, joint: int) -> list[tuple[int, int]]:
+    def _angles_in(self, joint: int) -> list[tuple[int, int]]:
         return [
             (index, sign)
             for index, angle in enumerate(self.chain.angles)

@@ -86,7 +86,7 @@ def sum_text(addends: Iterable[tuple[Any, str]]) -> str:
     return text
 
 
-def unit_of(addend: Addend, *, prismatic: bool, gravity: Sequence[str]) -> str:
+def addend_unit(addend: Addend, *, prismatic: bool, gravity: Sequence[str]) -> str:
     """SI unit of a coefficient from any one of its addends.
 
     `prismatic`: whether the addend's joint is prismatic (the motor inertia is then a mass).

@@ -19,10 +19,10 @@ from ._search import CONTACTS, Contacts, padded_contacts
 from ._shapes import compiled_geometry, listed, random_poses
 
 
-# Of the search: what it keeps beside the clearance, and how far it looks [m].
-_BESIDE, _FAR = 0.004, 0.15
-# Of the check: first and last interval [s].
-_COARSE, _FINE = 0.02, 0.00125
+# Settings of searches. `scripts/studies/excitation/study.py` judges them by what designs reach.
+BESIDE = 0.004  # what a search keeps beside the clearance [m]
+_FAR = 0.15  # how far it looks [m]
+_COARSE, _FINE = 0.02, 0.00125  # first and last interval of the check [s]
 _SAME_POINT = 1e-9  # [m]
 _SLIDE = 2  # mjtJoint.mjJNT_SLIDE
 _ALWAYS = 0.9  # part of random poses; bodies that touch in so many are joined
@@ -85,7 +85,7 @@ class CollisionBodies:
         levers = np.where(carried.all(1), 0.0, of_geom[pairs].max(1))
         if projection is not None:
             levers = levers @ np.abs(np.array(projection.matrix))
-        notes = (*_looked_for(surroundings, floor, touching), *notes)
+        notes = (*_looked_for(surroundings, floor, touching, any_pairs=len(pairs) > 0), *notes)
         return cls(data, joints, projection, pairs, carried, levers, wanted, notes)
 
     def _placed(self, q: Float[np.ndarray, " joints"]) -> None:
@@ -116,7 +116,7 @@ class CollisionBodies:
             distance[i] = mujoco.mj_geomDistance(model, data, a, b, farthest, ends[i])
         return distance, ends
 
-    def contacts(self, q: Float[np.ndarray, "samples joints"], beside: float = _BESIDE) -> Contacts:
+    def contacts(self, q: Float[np.ndarray, "samples joints"], beside: float = BESIDE) -> Contacts:
         """Return the smallest distances and their slopes along a motion on a grid.
 
         **Arguments**
@@ -124,8 +124,6 @@ class CollisionBodies:
         - `q`: positions on the grid.
         - `beside`: is kept in addition to the clearance [m].
         """
-        if not len(self.pairs):
-            return padded_contacts(q.shape[1])
         data, joints = self.data, self.joints
         poses = [
             (*self.distances(pose, _FAR), data.xaxis[joints], data.xanchor[joints]) for pose in q
@@ -158,8 +156,6 @@ class CollisionBodies:
         of what the joints between its bodies can move any of their points meanwhile. Where that is
         not enough, the interval is halved.
         """
-        if not len(self.pairs):
-            return _FAR, "no bodies"
         parameters = np.asarray(parameters, float)
         time = sample_times(family.duration, 1.0 / _COARSE)
         positions = np.asarray(family.derivative(parameters, time))
@@ -223,7 +219,9 @@ class CollisionBodies:
         return np.median(distance, axis=0), apart
 
 
-def _looked_for(surroundings: Surroundings, floor: str, touching: list[str]) -> tuple[str, ...]:
+def _looked_for(
+    surroundings: Surroundings, floor: str, touching: list[str], *, any_pairs: bool
+) -> tuple[str, ...]:
     """Return sentences on the collisions that are looked for, and on those that are not."""
     others = ["the robot's other bodies"] * surroundings.self_collision + [floor] * bool(floor)
     others += ["the workspace's walls"] * (surroundings.workspace is not None)
@@ -238,10 +236,9 @@ def _looked_for(surroundings: Surroundings, floor: str, touching: list[str]) -> 
     missing += ["tables, walls, cables and tools that no file states"]
     pairs = dict.fromkeys(touching)
     missing += [f"bodies that touch in most poses ({listed([*pairs])})"] * bool(pairs)
-    looked = ", ".join(others) if others else "nothing"
-    clearance = f"{1e3 * surroundings.clearance:.3g} mm from "
+    looked = f"every body keeps {1e3 * surroundings.clearance:.3g} mm from {', '.join(others)}"
     return (
-        f"collisions: every body keeps {clearance if others else ''}{looked}",
+        f"collisions: {looked if any_pairs else 'there are no bodies to be kept apart'}",
         f"collisions were not looked for with {'; '.join(missing)}",
     )
 
@@ -258,22 +255,22 @@ def _pair_name(model: Any, pair: np.ndarray) -> str:
 
 def _candidate_pairs(model: Any, surroundings: Surroundings) -> np.ndarray:
     """Return pairs of geometries of bodies that no joint connects, and of bodies and obstacles."""
-    weld = model.body_weldid
-    parent = weld[model.body_parentid]
-    ignored = {frozenset(pair) for pair in surroundings.ignore}
-    pairs: list[tuple[int, int]] = []
-    for a in range(model.ngeom):
-        for b in range(a + 1, model.ngeom):
-            first, second = (int(weld[model.geom_bodyid[g]]) for g in (a, b))
-            if first == second:
-                continue
-            names = frozenset(_geom_name(model, g) for g in (a, b))
-            obstacle = any(model.geom(g).name.startswith("obstacle") for g in (a, b))
-            joined = not obstacle and (parent[first] == second or parent[second] == first)
-            if joined or names in ignored or not (obstacle or surroundings.self_collision):
-                continue
-            pairs.append((a, b))
-    return np.array(pairs, int).reshape(-1, 2)
+    weld = model.body_weldid[model.geom_bodyid]
+    parent = model.body_weldid[model.body_parentid[weld]]
+    names = np.array([_geom_name(model, geom) for geom in range(model.ngeom)], object)
+    obstacle = np.array(
+        [model.geom(geom).name.startswith("obstacle") for geom in range(model.ngeom)]
+    )
+    a, b = np.triu_indices(model.ngeom, 1)
+    apart = (weld[a] != weld[b]) & (parent[a] != weld[b]) & (parent[b] != weld[a])
+    counts = (apart & surroundings.self_collision) | (obstacle[a] != obstacle[b]) & (
+        weld[a] != weld[b]
+    )
+    for pair in surroundings.ignore:
+        first, second = pair
+        counts &= ~((names[a] == first) & (names[b] == second))
+        counts &= ~((names[a] == second) & (names[b] == first))
+    return np.stack([a, b], axis=1)[counts]
 
 
 def _levers(model: Any, joints: np.ndarray, geom: int) -> Float[np.ndarray, " joints"]:

@@ -26,7 +26,7 @@ from ..network import CSLC
 from ..recordings import Preparation, Recording
 from ._families import Parameters, Times
 from ._feasibility import DenseCheck
-from ._information import Moments, MotionInformation, Square, error_covariance, regressor_of
+from ._information import Moments, MotionInformation, Square, error_covariance, motion_regressor
 
 
 Criterion = Literal[
@@ -144,7 +144,7 @@ def random_products(
         for pose in rng.uniform(-0.8, 0.8, (_TASKS, len(half)))
     ]
     states = (np.concatenate(x)[::_TASK_STRIDE] for x in zip(*motions, strict=True))
-    regressor = regressor_of(information.network, *states)
+    regressor = motion_regressor(information.network, *states)
     if k is not None:
         within = np.all(np.abs(regressor @ k) <= limits.usable_torque, axis=1)
         regressor = regressor[within | (not within.any())]
@@ -155,7 +155,7 @@ def task_products(information: MotionInformation, task: Any) -> Float[np.ndarray
     """Return the mean squared torque, over the noise's, of coefficients' errors on a motion."""
     if isinstance(task, Recording):
         task = Preparation().derivatives(task)
-    return _products(information, regressor_of(information.network, *task))
+    return _products(information, motion_regressor(information.network, *task))
 
 
 def _products(

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..network import CSLC
-from ._collision import CollisionBodies
+from ._collision import BESIDE, CollisionBodies
 from ._criteria import (
     ON_TASK,
     Goal,
@@ -34,7 +34,7 @@ from ._information import (
     coefficient_sizes,
     condition_number,
     error_covariance,
-    regressor_of,
+    motion_regressor,
     time_grid,
 )
 from ._limits import Limits
@@ -46,10 +46,12 @@ FamilyName = Literal["splines", "fourier", "periodic", "moves"]
 FAMILIES: tuple[FamilyName, ...] = get_args(FamilyName)
 """Names of the families of motions."""
 
-# Of families' parameters, by the duration [s].
-_KNOT, _HARMONIC, _MOVE = 0.35, 0.6, 1.1
-_COARSEST, _FINEST, _SAMPLES = 0.04, 0.01, 1000  # of the grid that motions are judged on
-_REPAIRS, _REPAIR_PENALTY, _BESIDE = 4, 200.0, 0.004  # of distances to other bodies [m]
+# Settings of searches. `scripts/studies/excitation/study.py` judges them by what designs reach.
+_KNOT, _HARMONIC, _MOVE = 0.35, 0.6, 1.1  # duration per parameter of each family [s]
+_COARSEST, _FINEST = 0.04, 0.01  # intervals of the grid that motions are judged on [s]
+_SAMPLES = 1000  # of that grid, between these intervals
+_REPAIRS, _REPAIR_PENALTY = 4, 200.0  # searches after the first; their penalty
+_FURTHER = 1.5  # factor of what is kept beside the clearance, from repair to repair
 _NEAR = 1.002  # of a limit: shrinking by so little costs nothing
 _RESTS = 200  # poses that are tried for a start
 
@@ -88,11 +90,13 @@ class Effort:
     - `starts`: random motions, of which the best is refined.
     - `rounds`: of multipliers, when refining.
     - `steps`: of L-BFGS in a round.
+    - `seed`: of the random motions; the same seed gives the same design.
     """
 
     starts: int = 3
     rounds: int = 5
     steps: int = 60
+    seed: int = 0
 
 
 def design_motion(
@@ -105,7 +109,6 @@ def design_motion(
     duration: float = 10.0,
     family: str | AbstractFamily = "splines",
     start: Float[np.ndarray, " joints"] | None = None,
-    seed: int = 0,
     effort: Effort = Effort(),
     progress: Callable[[str], None] | None = None,
 ) -> Design:
@@ -126,8 +129,7 @@ def design_motion(
     - `duration`: [s], for a family by name.
     - `family`: of motions, or its name: `"splines"`, `"fourier"`, `"periodic"`, `"moves"`.
     - `start`: the pose to start from, (n,); any if None.
-    - `seed`: of the random motions; the same seed gives the same design.
-    - `effort`: length of the search.
+    - `effort`: length of the search, and its seed.
     - `progress`: is called with a few words. Ctrl-C ends the search; the best so far is returned.
 
     **Raises**
@@ -148,9 +150,16 @@ def design_motion(
     """
     family = family_named(family, duration) if isinstance(family, str) else family
     planner = Planner.of(
-        network, limits, noise, family, goal=goal, knowledge=knowledge, start=start, seed=seed
+        network,
+        limits,
+        noise,
+        family,
+        goal=goal,
+        knowledge=knowledge,
+        start=start,
+        seed=effort.seed,
     )
-    return planner.design(seed, effort, progress)
+    return planner.design(effort, progress)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -159,7 +168,9 @@ class Planner:
 
     **Attributes**
 
-    - `problem`: of the search; `check`: of limits; `bodies`: that must not collide, or None.
+    - `problem`: of the search; `check`: of limits.
+    - `bodies`: that must not collide; None if there are none, or none are watched.
+    - `collisions`: sentences on the collisions that are looked for; empty if none are.
     - `family`, `limits`, `noise`, `knowledge`, `start`: as of `design_motion`.
     - `time`: the grid on which motions are judged.
 
@@ -183,6 +194,7 @@ class Planner:
     knowledge: Knowledge
     time: Float[np.ndarray, " samples"]
     start: Float[np.ndarray, " joints"] | None
+    collisions: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -209,6 +221,8 @@ class Planner:
         )
         model = knowledge.k if knowledge.is_model else None
         bodies = limits.surroundings and CollisionBodies.of(network.robot, limits.surroundings)
+        collisions = () if bodies is None else bodies.notes
+        bodies = bodies if bodies is not None and len(bodies.pairs) else None
         clearance = None if bodies is None else bodies.clearance
         check = DenseCheck(network, model, limits, family, distance=clearance)
         rng = np.random.default_rng(seed)
@@ -235,22 +249,22 @@ class Planner:
             criterion=goal.criterion,
             start=start,
         )
-        return cls(problem, check, bodies, family, limits, noise, knowledge, time, start)
+        return cls(
+            problem, check, bodies, family, limits, noise, knowledge, time, start, collisions
+        )
 
     def design(
-        self,
-        seed: int = 0,
-        effort: Effort = Effort(),
-        progress: Callable[[str], None] | None = None,
+        self, effort: Effort = Effort(), progress: Callable[[str], None] | None = None
     ) -> Design:
         """Search from several random motions, and refine the best; see `design_motion`."""
         say = progress or (lambda _: None)
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(effort.seed)
         pose = self.rest_pose(rng)
         spread = None if self.start is None else 0.0
         initial = [random_parameters(self.check, pose, rng, spread) for _ in range(effort.starts)]
         interrupted = False
-        search = Search(self.problem, None if self.bodies is None else self.bodies.contacts)
+        bodies = self.bodies
+        search = Search(self.problem, bodies and bodies.contacts)
         best, least = self.problem.variables(initial[0]), np.inf
         try:
             for number, parameters in enumerate(initial, 1):
@@ -267,7 +281,7 @@ class Planner:
         # A search that was interrupted may not have reached what an earlier one had.
         reached = [best, search.best] if interrupted or search.best is None else [search.best]
         scaled = [self.check.scaled(self._of_variables(x)) for x in reached if x is not None]
-        parameters, use, scale = min(scaled, key=lambda motion: self.criterion_of(motion[0]))
+        parameters, use, scale = min(scaled, key=lambda motion: self.criterion_value(motion[0]))
         notes = [*self.limits.notes]
         if not self.knowledge.is_model:
             notes.append(
@@ -284,7 +298,7 @@ class Planner:
         The dense check finds which limits the motion exceeds between the search's samples. Where
         linear distances were not enough, other bodies are kept a little further away.
         """
-        bodies, beside = self.bodies, _BESIDE
+        bodies, beside = self.bodies, BESIDE
         for _ in range(_REPAIRS):
             parameters = self._of_variables(search.best)
             use = self.check.use(parameters)
@@ -293,7 +307,7 @@ class Planner:
                 return
             search.problem = search.problem.narrowed(use.joints)
             if bodies is not None and not apart:
-                beside *= 1.5
+                beside *= _FURTHER
                 search.contacts = functools.partial(bodies.contacts, beside=beside)
             x = self.problem.variables(parameters)
             search.run(x, 2, steps, _REPAIR_PENALTY, search.multipliers)
@@ -326,7 +340,7 @@ class Planner:
         where = "the start" if self.start is not None else f"any of {_RESTS} poses"
         raise ValueError(f"no motion keeps the limits: at rest in {where}, {fallback.worst}")
 
-    def criterion_of(self, parameters: Parameters) -> float:
+    def criterion_value(self, parameters: Parameters) -> float:
         """Compute the criterion of a motion on the grid."""
         problem = self.problem
         motion = self.family.motion(np.asarray(parameters), self.time)
@@ -339,7 +353,7 @@ class Planner:
         """Compute the information that a motion on the grid has about the coefficients."""
         information = self.problem.information
         q, qd, qdd = (np.asarray(x) for x in motion)
-        regressor = regressor_of(information.network, q, qd, qdd)
+        regressor = motion_regressor(information.network, q, qd, qdd)
         return _moments(information, (q, qd, qdd), information.spectra(q), regressor)
 
     def prediction(self, motion: Any) -> Prediction:
@@ -360,11 +374,11 @@ class Planner:
             self.noise,
             self.prediction(self.family.motion(np.asarray(parameters), self.time)),
             self.problem.criterion,
-            self.criterion_of(parameters),
+            self.criterion_value(parameters),
             tuple(network.names[i] for i in np.asarray(self.problem.wanted)),
             scale,
             notes,
-            () if self.bodies is None else self.bodies.notes,
+            self.collisions,
         )
 
 

@@ -9,13 +9,13 @@ from jaxtyping import Float
 
 from ..network import CSLC
 from ._families import AbstractFamily, Parameters, sample_times
-from ._information import torques_of
+from ._information import motion_torques
 from ._limits import QUANTITIES, Joints, Limits
 
 
 # Friction terms that do not jump where a joint reverses.
 _SMOOTH = ("viscous", "quadratic", "offset")
-_BISECTIONS = 14
+_BISECTIONS = 14  # of a motion's scale, which is then known to 1e-4
 # Of a limit: so little is left of it at the end, for rounding.
 _ROUNDING = 1e-9
 
@@ -164,7 +164,7 @@ class DenseCheck:
     def _torques(
         self, models: Float[np.ndarray, "2 coefficients"], derivatives: list[np.ndarray]
     ) -> dict[str, Joints]:
-        torque, smooth = torques_of(self._network, models, *derivatives[:3])
+        torque, smooth = motion_torques(self._network, models, *derivatives[:3])
         second = np.abs(np.diff(smooth, 2, axis=0)).max(0) / 2
         largest = np.abs(torque)
         # Where friction reverses between two samples, it has both signs at one instant.

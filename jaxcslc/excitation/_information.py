@@ -244,7 +244,7 @@ SMALLEST_SHARE = 0.01  # of a joint's torque limit, by definition of size (docs/
 States = Float[Array | np.ndarray, "samples joints"]
 
 
-def regressor_of(
+def motion_regressor(
     network: CSLC, q: States, qd: States, qdd: States
 ) -> Float[np.ndarray, "samples joints coefficients"]:
     """Return the regressor of a whole motion.
@@ -262,12 +262,12 @@ def regressor_of(
     return regressor
 
 
-def torques_of(
+def motion_torques(
     network: CSLC, k: Float[np.ndarray, "models coefficients"], q: States, qd: States, qdd: States
 ) -> Float[np.ndarray, "models samples joints"]:
     """Return the torques of a motion by several models, a row of `k` each."""
     if not network.has_host_columns:
-        return np.einsum("sjp,mp->msj", regressor_of(network, q, qd, qdd), k)
+        return np.einsum("sjp,mp->msj", motion_regressor(network, q, qd, qdd), k)
     columns = _columns(network, q, qd, qdd)
     torques = [
         k[:, list(support)] @ rows for rows, support in zip(columns, network.support, strict=True)
@@ -275,13 +275,13 @@ def torques_of(
     return np.stack(torques, axis=-1)
 
 
-def mass_matrices_of(
+def motion_mass_matrices(
     network: CSLC, k: Float[np.ndarray, " coefficients"], q: States
 ) -> Float[np.ndarray, "samples joints joints"]:
     """Return M(q), by which torques at rest change with unit accelerations, joint by joint."""
     zero = np.zeros_like(q)
     gravity, *columns = (
-        torques_of(network, k[None], q, zero, zero + acceleration)[0]
+        motion_torques(network, k[None], q, zero, zero + acceleration)[0]
         for acceleration in (0.0, *np.eye(q.shape[1]))
     )
     return np.stack(columns, axis=-1) - gravity[..., None]
@@ -365,7 +365,7 @@ class MotionInformation(eqx.Module):
         """Weights of equations of a motion, on the host."""
         n = self.network.joint_count
         deviation = self.noise.position_deviation(n)
-        part = mass_matrices_of(self.network, np.asarray(self.k), np.asarray(q)) * deviation
+        part = motion_mass_matrices(self.network, np.asarray(self.k), np.asarray(q)) * deviation
         mass_square = np.mean(part @ part.swapaxes(-1, -2), axis=0)
         samples = len(q)
         frequency = np.arange(samples) / (2.0 * samples * self.interval)
@@ -513,7 +513,7 @@ def coefficient_sizes(
     - `motion`: `q`, `qd`, `qdd`, typical of the robot.
     - `torque`: (n,) of each joint [N m or N].
     """
-    regressor = regressor_of(network, *motion)
+    regressor = motion_regressor(network, *motion)
     column = np.sqrt(np.mean(regressor**2, axis=0)) / torque[:, None]
     largest = column.max(axis=0)
     least = SMALLEST_SHARE / np.where(largest > 0.0, largest, np.inf)

@@ -14,14 +14,14 @@ from jaxtyping import Float, Int
 from ._criteria import log_criterion
 from ._families import AbstractFamily, Parameters, Times
 from ._feasibility import without_jumps
-from ._information import MotionInformation, Spectra, regressor_of
+from ._information import MotionInformation, Spectra, motion_regressor
 from ._limits import QUANTITIES, Joints, Limits
 
 
-# Of the search, as `scripts/studies/excitation/study.py` judges it by what designs reach.
+# Settings of searches. `scripts/studies/excitation/study.py` judges them by what designs reach.
 _INSIDE = 0.996  # part of limits that is used, for what happens between samples
 _BEYOND = 1.001  # by which narrowed limits keep back more
-_FIRST_PENALTY, _PENALTY_GROWTH, _LARGEST_PENALTY = 3.0, 4.0, 3e3
+_FIRST_PENALTY, _PENALTY_GROWTH, _LARGEST_PENALTY = 3.0, 4.0, 3e3  # of the Lagrangian
 _NOWHERE = 1e10  # value where the Lagrangian is no number
 
 
@@ -301,7 +301,7 @@ class Search:
                 options={"maxiter": steps, "maxcor": 20, "maxfun": 2 * steps},
             )
             self.best = np.asarray(result.x)
-            regressor = regressor_of(problem.information.network, *problem.motion(self.best))
+            regressor = motion_regressor(problem.information.network, *problem.motion(self.best))
             multipliers, worst = _updated(
                 problem, jnp.asarray(self.best), *arguments[1:], regressor
             )

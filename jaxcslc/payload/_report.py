@@ -74,7 +74,7 @@ class PayloadReport:
                     "robot": self.network.robot.name,
                     "settings": settings_document(self.settings),
                     **self.fit.document(),
-                    **_document_of(self.network.robot, self.file_body),
+                    **_fit_document(self.network.robot, self.file_body),
                     "torque_error_rms": dict(zip(self.errors.names, self.errors.rms, strict=True)),
                 },
             )
@@ -165,7 +165,7 @@ def in_last_body_frame(robot: Manipulator, body: LinkParameters | None) -> LinkP
     return seen_from(body, np.linalg.inv(source.placements[-1]))
 
 
-def _document_of(robot: Manipulator, body: LinkParameters | None) -> dict[str, Any]:
+def _fit_document(robot: Manipulator, body: LinkParameters | None) -> dict[str, Any]:
     if body is None or robot.source is None:
         return {}
     return {

@@ -53,7 +53,7 @@ try:
     import sim
 
     machine, trajectory = sim.puma560(), sim.training(samples=600)
-    jobs = [sim.recording.Job(machine, trajectory, seed) for seed in range(6)]
+    jobs = [sim.Job(machine, trajectory, seed) for seed in range(6)]
     for i, result in sim.record_each(jobs, store="store", side_by_side=1):
         print(i, float(result.truth.position.sum()).hex())
 except (KeyboardInterrupt, ImportError):  # an extension that is being initialised

@@ -25,4 +25,4 @@ def pendulum_planner() -> "Planner":
 def pendulum_design(pendulum_planner: "Planner") -> "Design":
     from jaxcslc.excitation import Effort
 
-    return pendulum_planner.design(0, Effort(1, 3, 15))
+    return pendulum_planner.design(Effort(1, 3, 15))

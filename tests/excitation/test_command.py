@@ -133,3 +133,12 @@ def test_wrong_options_are_one_line(folder: Path, options: tuple[str, ...], mess
     result = run("excite", folder / "arm.urdf", *OPTIONS, *output, *options)
     assert result.exit_code == 2
     assert message in result.stderr
+
+
+def test_says_which_collisions_it_looked_for(folder: Path) -> None:
+    """The pendulum hangs beside its base and reaches 0.3 m below it."""
+    arguments = ("excite", folder / "arm.urdf", "-o", folder / "floor.csv", *OPTIONS)
+    result = run(*arguments, "--no-floor")
+    assert "collisions: there are no bodies to be kept apart" in result.output
+    assert "collisions were not looked for with a floor;" in result.output
+    assert "Collisions were not looked for with a floor;" in (folder / "floor.html").read_text()

@@ -51,14 +51,14 @@ def test_it_is_better_than_random_motions(
     random = []
     for seed in range(5):
         draw = random_parameters(pendulum_planner.check, np.zeros(1), np.random.default_rng(seed))
-        random.append(pendulum_planner.criterion_of(pendulum_planner.check.scaled(draw)[0]))
+        random.append(pendulum_planner.criterion_value(pendulum_planner.check.scaled(draw)[0]))
     assert pendulum_design.value < 0.8 * min(random)
 
 
 def test_the_same_seed_gives_the_same_design(
     pendulum_planner: Planner, pendulum_design: Design
 ) -> None:
-    again = pendulum_planner.design(0, Effort(1, 3, 15))
+    again = pendulum_planner.design(Effort(1, 3, 15))
     np.testing.assert_array_equal(again.parameters, pendulum_design.parameters)
 
 
@@ -67,7 +67,7 @@ def test_an_interrupted_search_returns_the_best_so_far(pendulum_planner: Planner
         if text.startswith("refining, round 1"):
             raise KeyboardInterrupt
 
-    design = pendulum_planner.design(0, Effort(1, 3, 15), interrupt)
+    design = pendulum_planner.design(Effort(1, 3, 15), interrupt)
     assert design.use.feasible
     assert "interrupted" in design.notes[-1]
 
@@ -182,12 +182,12 @@ def test_a_design_for_bodies_is_better_than_its_start() -> None:
     limits = Limits.of(network.robot, {"position": [-2, 2], "velocity": 3, "torque": 80})
     goal = Goal("bodies")
     planner = Planner.of(network, limits, Noise(0.5, 1e-3), BSplines(2.0, 5), goal=goal)
-    design = planner.design(0, Effort(1, 2, 8))
+    design = planner.design(Effort(1, 2, 8))
     start = random_parameters(
         planner.check, planner.rest_pose(np.random.default_rng(0)), np.random.default_rng(0)
     )
     assert design.use.feasible
-    assert design.value < planner.criterion_of(start)
+    assert design.value < planner.criterion_value(start)
     assert design.value < 1.0
 
 
@@ -350,7 +350,7 @@ def test_a_motion_at_its_limit_of_torque_is_hardly_shrunk(pendulum_planner: Plan
     limits = Limits.of(network.robot, stated)
     family = pendulum_planner.family
     planner = Planner.of(network, limits, Noise(0.1, 1e-4), family, knowledge=knowledge)
-    design = planner.design(0, Effort(1, 4, 30))
+    design = planner.design(Effort(1, 4, 30))
     assert design.use.feasible
     assert design.use.joints["torque"].max() > 0.95
     assert design.scale > 0.995

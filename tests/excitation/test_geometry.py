@@ -235,3 +235,55 @@ def test_other_tables_are_named(tmp_path: Path, text: str, message: str) -> None
     path.write_text(text)
     with pytest.raises(ValueError, match=message):
         load_limits(path, jc.puma560())
+
+
+MJCF = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body name="upper" pos="0 0 0.3">
+<joint name="lift" axis="0 1 0" range="-100 100"/><geom type="capsule" size="0.05"
+ fromto="0 0 0 0 0 0.4"/><body name="fore" pos="0 0 0.5"><joint name="bend" axis="0 1 0"
+ range="-100 100"/><geom type="capsule" size="0.05" fromto="0 0 0 0 0 0.3"/></body></body>
+</worldbody></mujoco>"""
+
+
+def test_the_floor_of_a_file_is_the_floor(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(MJCF)
+    bodies = CollisionBodies.of(jc.load_robot(path), Surroundings())
+    assert "the floor of the robot's file" in bodies.notes[0]
+    # Upright, the upper arm's end; lying, the fore arm's, whose joint is at the shoulder's height.
+    distance, _ = bodies.distances(np.array([np.pi / 2, 0.0]), 5.0)
+    assert distance.min() == pytest.approx(0.3 - 0.05, abs=1e-6)
+
+
+MIMIC = URDF.replace("</robot>", "").format(mesh="none.stl") + (
+    '<joint name="follow" type="revolute"><parent link="link"/><child link="hand"/>'
+    '<origin xyz="0.5 0 0"/><axis xyz="0 0 1"/><mimic joint="turn" multiplier="-2" offset="0.1"/>'
+    '<limit lower="-9" upper="9" velocity="2" effort="10"/></joint><link name="hand"><inertial>'
+    '<origin xyz="0.2 0 0"/><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"'
+    ' iyz="0"/></inertial></link></robot>'
+)
+
+
+def test_joints_that_follow_move_their_shapes(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(MIMIC)
+    robot = jc.load_robot(path, mimic="couple")
+    ball = Surroundings(floor=None, radius=0.02, spheres=(((0.75, 0.25, 0.0), 0.1),))
+    bodies = CollisionBodies.of(robot, ball)
+
+    def distance(angle: float) -> float:
+        """From the hand, 0.4 m long, which turns back twice as far as the link turns."""
+        along = np.array(
+            [[np.cos(angle), np.sin(angle)], [np.cos(0.1 - angle), np.sin(0.1 - angle)]]
+        )
+        wrist = 0.5 * along[0]
+        part = np.clip((np.array([0.75, 0.25]) - wrist) @ along[1] / 0.4, 0.0, 1.0)
+        return float(np.linalg.norm(wrist + 0.4 * part * along[1] - [0.75, 0.25])) - 0.12
+
+    angle, step = 0.6, 1e-6
+    contacts = bodies.contacts(np.array([[angle]]))
+    nearest = contacts.distance.argmin()
+    assert bodies.distances(np.array([angle]), 5.0)[0].min() == pytest.approx(
+        distance(angle), abs=1e-6
+    )
+    slope = (distance(angle + step) - distance(angle - step)) / (2 * step)
+    assert contacts.jacobian[nearest, 0] == pytest.approx(slope, abs=1e-4)

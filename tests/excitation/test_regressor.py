@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.excitation._information import mass_matrices_of, regressor_of, torques_of
+from jaxcslc.excitation._information import motion_mass_matrices, motion_regressor, motion_torques
 
 
 ROUNDING = 1e-12  # of a few dozen operations on numbers about 1
@@ -32,9 +32,9 @@ def test_they_are_those_of_the_network(
     models = rng.normal(size=(2, arm.size))
     traced = [jnp.asarray(x) for x in (q, qd, qdd)]
     expected = np.asarray(arm.regressor(*traced))
-    np.testing.assert_allclose(regressor_of(arm, q, qd, qdd), expected, atol=ROUNDING)
+    np.testing.assert_allclose(motion_regressor(arm, q, qd, qdd), expected, atol=ROUNDING)
     torques = [np.asarray(arm.torque(jnp.asarray(k), *traced)) for k in models]
-    np.testing.assert_allclose(torques_of(arm, models, q, qd, qdd), torques, atol=ROUNDING)
+    np.testing.assert_allclose(motion_torques(arm, models, q, qd, qdd), torques, atol=ROUNDING)
     # The network's mass matrix is computed from terms of its own, not from torques.
     mass = np.asarray(arm.mass_matrix(jnp.asarray(models[0]), traced[0]))
-    np.testing.assert_allclose(mass_matrices_of(arm, models[0], q), mass, atol=10 * ROUNDING)
+    np.testing.assert_allclose(motion_mass_matrices(arm, models[0], q), mass, atol=10 * ROUNDING)

@@ -113,8 +113,7 @@ def puma_design(name: str, seed: int, quick: bool = False) -> Design:
         goal=Goal(criterion),
         knowledge=knowledge(directional),
         duration=DURATION,
-        seed=seed,
-        effort=Effort(1, 2, 10) if quick else Effort(),
+        effort=Effort(1, 2, 10, seed) if quick else Effort(seed=seed),
     )
 
 

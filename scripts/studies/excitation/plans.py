@@ -76,7 +76,7 @@ def durations(wanted: Sequence[str], net: Any, known: Knowledge, steps: int) -> 
     for name, (names, criterion) in ways.items():
         goal = Goal(criterion, names)
         planner = Planner.of(net, limits(), noise(), family, goal=goal, knowledge=known)
-        design = planner.design(0, Effort(1, 4, steps))
+        design = planner.design(Effort(1, 4, steps))
         seconds[name] = seconds_of(planner, design.parameters, wanted)
     fourier = family_named("fourier", PIECE)
     planner = Planner.of(net, limits(), noise(), fourier, knowledge=known)
@@ -108,8 +108,7 @@ def seconds_to_goal(seed: int, steps: int, say: Callable[[str], None]) -> dict[s
             goal=Goal(criterion),
             knowledge=known,
             duration=PIECE,
-            seed=100 * seed + number,
-            effort=Effort(1, 4, steps),
+            effort=Effort(1, 4, steps, seed=100 * seed + number),
         )
 
     known, worst = knowledge(), []

@@ -144,7 +144,7 @@ def random_arms(structure: int, count: int = ARMS_PER_STRUCTURE) -> dict[str, An
         rng = np.random.default_rng([structure, index])
         wish = _planner_within(planner, _random_limits(planner, rng))
         try:
-            design = wish.design(index, Effort(1, 3, 12))
+            design = wish.design(Effort(1, 3, 12, seed=index))
         except ValueError as error:
             infeasible.append(str(error))
             continue
@@ -237,7 +237,7 @@ def panda(seed: int, urdf: str, steps: int) -> dict[str, Any]:
         )
     planner = _pandas["panda"]
     begun = time.process_time()
-    design = planner.design(seed, Effort(1, 5, steps))
+    design = planner.design(Effort(1, 5, steps, seed=seed))
     instants = np.linspace(0.0, 20.0, 2001)
     poses = np.asarray(design.family.derivative(design.parameters, instants))
     used = _most_used(design)
