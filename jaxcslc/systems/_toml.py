@@ -7,7 +7,7 @@ import operator
 import os
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import sympy
 from sympy import Eq, Integer, Rational, Symbol
@@ -30,6 +30,10 @@ _FUNCTIONS = {
 }
 _RATES = {"dot": 1, "ddot": 2}
 _LONGEST = 80  # of a formula in a message
+# Bounds of one side of an equation: characters; terms of its sums, multiplied out; digits of a
+# number. They are far above those of any system of the literature. What lies beyond takes minutes.
+_MOST_CHARACTERS, _MOST_TERMS, _MOST_DIGITS = 10_000, 10_000, 5_000
+_LARGEST_POWER = 64  # of what is not a number
 RESERVED = ("pi", "min", "max", "where", *_RATES, *_FUNCTIONS)
 """Names that formulas give a meaning."""
 _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
@@ -68,12 +72,76 @@ def parse_equation(text: str, variables: Collection[str], constants: Collection[
 
 def parse_formula(text: str, variables: Collection[str], constants: Collection[str]) -> Any:
     """Parse one side of an equation; see `parse_equation`."""
+    if len(text) > _MOST_CHARACTERS:
+        raise DescriptionError(
+            f"{_short(text)} has {len(text)} characters; expected {_MOST_CHARACTERS} at most"
+        )
     try:
         tree = ast.parse(text.replace("^", "**"), mode="eval")
-    except (SyntaxError, ValueError, RecursionError) as error:
-        reason = error.msg if isinstance(error, SyntaxError) else str(error)
+        size = _size(tree.body)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        reason = error.msg if isinstance(error, SyntaxError) else str(error) or "nested too deeply"
         raise DescriptionError(f"cannot read {_short(text)}: {reason}") from None
+    if size.terms > _MOST_TERMS or size.digits > _MOST_DIGITS:
+        raise DescriptionError(
+            f"{_short(text)} is too large when it is multiplied out; expected {_MOST_TERMS} terms"
+            f" and numbers of {_MOST_DIGITS} digits at most"
+        )
     return _Reader(text, set(variables), set(constants)).read(tree.body)
+
+
+class _Size(NamedTuple):
+    """Upper bounds of what a formula becomes when it is multiplied out.
+
+    - `terms`: of its sum.
+    - `digits`: of the largest number in it.
+    - `number`: its value, if it is made of numbers alone.
+    """
+
+    terms: float
+    digits: float
+    number: float | None = None
+
+
+def _size(node: ast.AST) -> _Size:
+    match node:
+        case ast.Constant(value=int() | float() as value):
+            return _Size(1, len(str(value)), float(value))
+        case ast.UnaryOp(operand=operand):
+            size = _size(operand)
+            return size._replace(number=None if size.number is None else -size.number)
+        case ast.BinOp(left=left, op=sign, right=right):
+            return _size_of_two(_size(left), sign, _size(right))
+        case _:
+            # Of a function, of one term: its largest argument.
+            sizes = [_size(child) for child in ast.iter_child_nodes(node)]
+            terms = max((size.terms for size in sizes), default=1)
+            return _Size(terms, max((size.digits for size in sizes), default=0))
+
+
+def _size_of_two(left: _Size, sign: ast.operator, right: _Size) -> _Size:
+    number = None
+    if left.number is not None and right.number is not None:
+        try:
+            number = float(_OPERATORS[type(sign)](left.number, right.number))
+        except (ArithmeticError, KeyError, TypeError):  # overflows, or complex
+            return _Size(math.inf, math.inf, math.inf)
+    digits = left.digits + right.digits
+    if isinstance(sign, ast.Add | ast.Sub):
+        if number is None:
+            return _Size(left.terms + right.terms, max(left.digits, right.digits))
+        return _Size(1, digits + 1, number)
+    if not isinstance(sign, ast.Pow):
+        return _Size(left.terms * right.terms, digits, number)
+    if right.number is None:  # is not multiplied out
+        return _Size(max(left.terms, right.terms), digits)
+    power = abs(right.number)
+    if left.number is None and power > _LARGEST_POWER:
+        return _Size(math.inf, math.inf)
+    terms = (
+        1.0 if left.terms <= 1 else min(left.terms, _MOST_TERMS + 1) ** min(power, _LARGEST_POWER)
+    )
+    return _Size(terms, left.digits * max(power, 1.0), number)
 
 
 def _is_comparison(value: Any) -> bool:

@@ -114,6 +114,14 @@ WRONG_FORMULAS = {
     "F = m*(x > 1)": "comparison 'x > 1' in 'm*(x > 1)'; expected it in where(...)",
     "F = 1e400*m": "cannot read '1e309'",
     "F = where(x, m, k)": "expected a comparison first",
+    "F = 9**9**9*k": "'9**9**9*k' is too large when it is multiplied out",
+    "F = ((9**300)**300)**300*k": "is too large when it is multiplied out",
+    "F = (m + k + x)**500": "'(m + k + x)**500' is too large when it is multiplied out",
+    "F = " + "*".join(["(m + k)"] * 30): "is too large when it is multiplied out",
+    "F = x**1e9": "is too large when it is multiplied out",
+    "F = 1" + "0" * 6000: "Exceeds the limit",
+    "F = " + "-" * 9000 + "x": "cannot read",
+    "F = " + "-" * 100_000 + "x": "has 100001 characters; expected 10000 at most",
 }
 
 
