@@ -54,7 +54,7 @@ class Judged:
     """A fit, and how it predicts motion that was not fitted.
 
     - `problem`: whose patterns and settings the errors are of.
-    - `fit`: with the coefficients to report: what is known beforehand and possible bodies included.
+    - `fit`: with the coefficients to report: prior knowledge and physical consistency included.
     - `held_out`: errors on motion that was not fitted; None where nothing was judged.
     - `results`: further results of the report, by the names that its sections give them.
     - `vectors`: other coefficients whose errors are reported, by name.

@@ -223,62 +223,61 @@ def identify(
 ) -> Report:
     """Identifies a robot's coefficients from a recording, and judges the result.
 
-    Chooses settings, prepares patterns, fits the slopes of static friction where the network has
-    it, fits the coefficients, and evaluates excitation and torque errors: on the validation
-    recording or, without one, by cross-validation within the training recording.
-    `jaxcslc identify` prints and saves the report that this function returns.
+    Selects settings, prepares the recordings, fits the coefficients, and evaluates excitation and
+    torque errors. Held-out data are the validation recording or, without one, segments of the
+    training recording (cross-validation). `jaxcslc identify` prints and saves the report that this
+    function returns.
 
     **Arguments**
 
     - `network`: n joints, p coefficients.
     - `training`: the recording to fit; or several, in a list or by name. Each is then prepared
-      according to its own sampling and weighted by its own noise, settings are chosen on the
-      longest, and the report tests whether they agree (`report.several.agreement`).
+      according to its own sampling and weighted by its own noise. Settings are selected on the
+      longest. The report tests whether they agree (`report.several.agreement`).
     - `validation`: a recording to judge the fit on; no coefficient depends on it.
     - `settings`: of preparation and fit; by default those that `choose_settings` finds for the
       training recording. A validation recording that was sampled in another way (a coarser
       encoder, another rate, irregular time stamps) then gets a smoothing of its own; with
       settings set here it gets a warning.
-    - `estimator`: `"least-squares"` on smoothed motion; `"maximum-likelihood"`, which needs no
-      smoothing (`MaximumLikelihood`); `"auto"` fits both, and uses the latter where it predicts
-      motion that was not fitted better by more than chance: the validation recording or, without
-      one, the last quarter of each training recording. `report.estimators` compares them.
-      `"instrumental-variables"` is of one recording, without possible bodies and systematic errors
-      (`InstrumentalVariables`); a note says whether least squares is biased. Or an estimator
-      itself, an `AbstractEstimator`.
-    - `likelihood`: how maximum likelihood is fitted; its torque sampling and settings are those of
-      the report.
-    - `offsets`: of several recordings, fit a constant torque of each joint in each of them along.
+    - `estimator`: a name, or an `AbstractEstimator`.
+        - `"least-squares"`: fits smoothed motion.
+        - `"maximum-likelihood"`: estimates positions too and needs no smoothing
+          (`MaximumLikelihood`).
+        - `"auto"`: both. The latter is used if it predicts held-out data better by more than
+          chance: the validation recording or, without one, the last quarter of each training
+          recording. `report.estimators` compares them.
+        - `"instrumental-variables"`: one recording, without physically consistent parameters and
+          systematic errors (`InstrumentalVariables`). A note says whether least squares is biased.
+    - `likelihood`: options of maximum likelihood; its torque sampling and settings are those of the
+      report.
+    - `offsets`: with several recordings, also fit one torque offset per joint and recording.
     - `previous`: an identification of the same network, or its (p,) coefficients. Only the
-      coefficients of `groups` are then fitted; all others are fixed at these (thesis 5.2.4).
+      coefficients of `groups` are then fitted; all others keep these values (thesis 5.2.4).
     - `groups`: coefficients to re-identify, by group (`"viscous"`, `"dry"`, ...) or name.
-    - `friction`: `"auto"` adds friction terms where they predict motion that was left out better,
-      joint by joint (`choose_friction`), and then tries a pre-sliding state of dry friction
-      (`fit_pre_sliding`); `report.friction` says what each was worth, and `report.pre_sliding` is
-      the fit with states, where a joint gains by them. Maximum likelihood is fitted with their
-      distances, and compared with least squares with states. Settings are chosen once, for the
-      network as it is passed. Not with `previous`.
+    - `friction`: `"auto"` adds, joint by joint, the friction terms that improve prediction of
+      held-out data (`choose_friction`), then tries pre-sliding friction (`fit_pre_sliding`).
+      `report.friction` has the gain of each, `report.pre_sliding` the fit with states, where a
+      joint gains by them. Maximum likelihood is fitted with their distances, and compared with
+      least squares with states. Settings are selected once, for the network as it is passed.
     - `options`: of `Preparation` and `LeastSquares`, set whatever the settings are, such as
       `{"torque_lag": 0.02, "loss": "huber"}`.
     - `folds`: as of `choose_settings`; by default 8, or fewer where the recording is short.
     - `checks`: look for wrong units, signs, times and samples first; see `check`.
-    - `systematic`: widen intervals by errors that residuals do not show, and let verdicts know
-      them; see `systematic_error`. It costs about one more fit.
-    - `possible`: `"auto"` also fits possible bodies (`physical_parameters`) and uses their
-      coefficients where they predict motion that was not fitted better than the free fit does, by
-      more than noise; `"always"` uses them in any case, `"never"` does not compute them. See
-      `PossibleFit`. Not with `previous`.
+    - `systematic`: include errors that residuals do not show in intervals and verdicts; see
+      `systematic_error`. It costs about one more fit.
+    - `possible`: physically consistent parameters (`physical_parameters`, `PossibleFit`).
+      `"auto"` uses their coefficients if they predict held-out data better than the unconstrained
+      fit by more than noise, `"always"` in any case; `"never"` does not compute them.
     - `prior`: what is known of coefficients and links: fixed, bounded, or a value with its error,
-      by name. What is known of links makes the coefficients of possible bodies be used, which alone
-      can follow it. Not with `previous`.
-    - `memory`: that may be used [GB], about. Coefficients are fitted to all samples of one training
-      recording, however long; where its regressor does not fit, settings are chosen and fits judged
-      on a part of it (`report.judged_part` says which). Of several recordings that do not fit
-      together, parts are used throughout, as `report.notes` say.
-    - `horizon`: also simulate the identified arm open loop from states of the validation recording
-      (or of the longest training recording), beside the one of the robot's file and that with a
-      pre-sliding state, where one is used, and report how far its positions are off after 0.1 to
-      5 s (`report.horizon`).
+      by name. Knowledge of links makes the report use physically consistent parameters: no others
+      can follow it.
+    - `memory`: to use [GB], about. Coefficients are fitted to all samples of one training
+      recording, however long. Where its regressor does not fit, settings are selected and fits
+      judged on a part of it (`report.judged_part` says which). Of several recordings that do not
+      fit together, parts are used throughout, as `report.notes` say.
+    - `horizon`: also simulate the identified arm without feedback from states of the validation
+      recording, or of the longest training recording. `report.horizon` has the position errors
+      after 0.1 to 5 s, also of the robot's file and of the fit with pre-sliding states.
     - `progress`: a function that is called with a few words at the start of each step; or True to
       show the steps in a line, False to show none. By default they are shown in notebooks and at
       Python's prompt, but not in programs. `TQDM_DISABLE=1` turns them off everywhere.

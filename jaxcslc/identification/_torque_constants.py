@@ -186,7 +186,7 @@ def fit_torque_constants(
     columns = whole.layout.indices(*braking)
     if sum(some.power(np.asarray(fit.k), columns) for some in equations) < 0.0:
         raise ValueError(
-            "with these constants friction drives the arm in place of braking it; expected the"
+            "with these constants friction drives the arm instead of braking it; expected the"
             " recording without the payload first, and then the one with it"
         )
     return result

@@ -391,7 +391,7 @@ class Report(AbstractReport[CSLC]):
     - `network`: with the slopes of static friction that were fitted, if it has static friction.
     - `settings`: of preparation and fit.
     - `fit`: the `Identification`, with standard errors and covariance; its coefficients are those
-      of possible bodies if `possible.used`.
+      of physically consistent bodies if `possible.used`.
     - `patterns`: by recording, `"training"` and, if there was one, `"validation"`; empty of a
       report that was loaded.
     - `motion`: states of the training recording; of a report that was loaded some of them.

@@ -183,12 +183,12 @@ def test_wrong_files(text: str, message: str, tmp_path: Path) -> None:
         (
             Prior({}, {"2": {"mass": Known(1.0)}}),
             {"possible": "never"},
-            "needs --possible auto or always",
+            'needs possible="auto" or "always"',
         ),
         (
             Prior({"kv1": Known(1.0)}),
             {"previous": np.zeros(14), "groups": ["dry"]},
-            "prior cannot be combined with previous=",
+            "prior= cannot be combined with previous=",
         ),
     ],
 )
