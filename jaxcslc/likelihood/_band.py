@@ -3,13 +3,14 @@
 import dataclasses
 import itertools
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from .._chunks import over_chunks
 from ..codegen import INTEGERS, LONG, CArray, CFunction
-from ._normal_equations import SOURCE, gram
+from ._normal_equations import SOURCE, add_blocks, gram
 
 
 # Equations whose squares are added up at a time, and those that a thread multiplies.
@@ -144,8 +145,8 @@ class JointColumns:
 
 # Equations whose products are in memory at a time, where there is no compiler.
 _BLOCK = 256
-# Equations that a thread adds.
-_CHUNK = 4096
+# Equations that a thread adds, and samples that they share with those of the next one.
+_CHUNK, _SHARED = 4096, 2
 
 _ADD = CFunction(
     SOURCE,
@@ -156,7 +157,7 @@ _ADD = CFunction(
         *(CArray("entries", INTEGERS), CArray("entries", INTEGERS)),
         *(CArray("unknowns width", written=True), CArray("unknowns border", written=True)),
         *(CArray("numbers", written=True), CArray("integers", INTEGERS, written=True)),
-        *[LONG] * 8,
+        *[LONG] * 6,
     ),
 )
 
@@ -179,59 +180,42 @@ def add_equations(
     - `weight`: of equations.
     - `by_position`: derivatives by the positions at three samples; `by_border`: by the border.
     """
+    count, n, _ = by_position.shape
     if not _ADD.is_available:
-        _add_in_blocks(band, mixed, position, weight, by_position, by_border.dense)
+        index = stencil(position)
+        for start in range(0, count, _BLOCK):  # all products are several times what is kept
+            rows = slice(start, start + _BLOCK)
+            transposed = np.swapaxes(weight[rows, :, None] * by_position[rows], 1, 2)
+            add_blocks(band, index[rows], transposed @ by_position[rows])
+            np.add.at(mixed, index[rows], transposed @ by_border.between(rows).dense)
         return
-    count, n, stencil = by_position.shape
     columns = mixed.shape[1]
     of_border = by_border.values, by_border.joints, by_border.columns
     bound = _ADD.bound(position[:, 0], weight, by_position, *of_border, band, mixed)
-    sizes = (n, stencil // n, 0, band.shape[1], columns, len(by_border.joints))
+    sizes = (n, band.shape[1], columns, len(by_border.joints))
 
     def add(first: int, last: int) -> None:
-        memory = np.zeros((stencil + columns + 8) * n)
-        integers = np.zeros((n + 1) * (columns // 2 + 1) + stencil, INTEGERS)
+        memory = np.zeros((3 * n + columns + 8) * n)
+        integers = np.zeros((n + 1) * (columns // 2 + 1) + 3 * n, INTEGERS)
         bound(memory, integers, first, last, *sizes)
 
     # The last equations of a chunk have samples that the next chunk has, too: they follow alone.
-    shared = stencil // n - 1
-    over_chunks(lambda first, last: add(first, last - shared * (last < count)), count, _CHUNK)
+    over_chunks(lambda first, last: add(first, last - _SHARED * (last < count)), count, _CHUNK)
     for last in range(_CHUNK, count, _CHUNK):
-        add(last - shared, last)
+        add(last - _SHARED, last)
 
 
-def _add_in_blocks(
-    band: Float[np.ndarray, "inner diagonals"],
-    mixed: Float[np.ndarray, "inner border"],
-    position: Int[np.ndarray, "samples joints"],
-    weight: Float[np.ndarray, "equations joints"],
-    by_position: Float[np.ndarray, "equations joints positions"],
-    by_border: Float[np.ndarray, "equations joints border"],
-) -> None:
-    """Add the products by NumPy, block by block.
+def stencil(
+    values: Float[np.ndarray, "samples joints *shape"] | Int[np.ndarray, "samples joints"],
+) -> Any:
+    """Return values at the three samples of each equation, one after the other.
 
-    Products of all equations at once would be several times what is kept.
+    >>> import numpy as np
+    >>> stencil(np.arange(5)[:, None]).tolist()
+    [[0, 1, 2], [1, 2, 3], [2, 3, 4]]
     """
-    n = weight.shape[1]
-    slots = by_position.shape[2] // n
-    for start in range(0, len(weight), _BLOCK):
-        rows = slice(start, start + _BLOCK)
-        transposed = np.swapaxes(weight[rows, :, None] * by_position[rows], 1, 2)
-        products, of_border = transposed @ by_position[rows], transposed @ by_border[rows]
-        for slot in range(slots):
-            samples = np.arange(start, start + len(products))
-            blocks = slice(slot * n, (slot + 1) * n)
-            mixed[position[samples + slot]] += of_border[:, blocks]
-            for earlier in range(slot + 1):
-                row, column = np.broadcast_arrays(
-                    position[samples + slot][:, :, None], position[samples + earlier][:, None, :]
-                )
-                below = row >= column
-                values = products[:, blocks, earlier * n : (earlier + 1) * n]
-                band[column[below], (row - column)[below]] += values[below]
+    return np.concatenate([values[:-2], values[1:-1], values[2:]], axis=1)
 
-
-# Equations that a thread computes.
 
 ByPosition = Float[np.ndarray, "equations joints positions"]
 Rows = Float[np.ndarray, "equations joints"]
@@ -247,7 +231,7 @@ _CHANGE = CFunction(
     "change_equations",
     (
         *(*_DERIVATIVES, CArray("samples joints"), CArray("entries")),
-        *(CArray("equations joints", written=True), *[LONG] * 5),
+        *(CArray("equations joints", written=True), *[LONG] * 3),
     ),
 )
 _ADD_GRADIENTS = CFunction(
@@ -255,7 +239,7 @@ _ADD_GRADIENTS = CFunction(
     "add_gradients",
     (
         *(*_DERIVATIVES, CArray("equations joints"), CArray("samples joints", written=True)),
-        *(CArray("entries", written=True), *[LONG] * 5),
+        *(CArray("entries", written=True), *[LONG] * 3),
     ),
 )
 
@@ -281,11 +265,13 @@ def equation_changes(
     [[1321.0], [2864.0]]
     """
     if not _CHANGE.is_available:
-        return _changes_in_parts(by_position, by_border, position, border)
+        near = np.einsum("ejs,es->ej", by_position, stencil(position))
+        return near + by_border.times(border)
     result = np.empty(by_position.shape[:2])
-    derivatives, sizes = _derivatives(by_position, by_border)
+    derivatives = _derivatives(by_position, by_border)
     change = _CHANGE.bound(*derivatives, position, border[by_border.columns], result)
-    over_chunks(lambda first, last: change(first, last, *sizes), len(result), _CHUNK)
+    n = by_position.shape[1]
+    over_chunks(lambda first, last: change(first, last, n), len(result), _CHUNK)
     return result
 
 
@@ -301,72 +287,31 @@ def equation_gradients(
     >>> of_positions.ravel().tolist(), of_border.tolist()
     ([1.0, 12.0, 120.0, 200.0], [3000.0])
     """
-    if not _ADD_GRADIENTS.is_available:
-        return _gradients_in_parts(by_position, by_border, force)
-    count, n, stencil = by_position.shape
+    count, n, _ = by_position.shape
     of_positions = np.zeros((count + 2, n))
-    shared = stencil // n - 1
-    derivatives, sizes = _derivatives(by_position, by_border)
-    bound = _ADD_GRADIENTS.bound(*derivatives, force, of_positions)
+    if not _ADD_GRADIENTS.is_available:
+        of_equations = np.einsum("ej,ejs->es", force, by_position)
+        for slot in range(3):
+            of_positions[slot : slot + count] += of_equations[:, slot * n : (slot + 1) * n]
+        return of_positions, by_border.summed(force)
+    bound = _ADD_GRADIENTS.bound(*_derivatives(by_position, by_border), force, of_positions)
 
     def add(first: int, last: int) -> np.ndarray:
         of_entries = np.zeros(len(by_border.columns))
-        bound(of_entries, first, last, *sizes)
+        bound(of_entries, first, last, n)
         return of_entries
 
     # The last equations of a chunk have samples that the next chunk has, too: they follow alone.
     parts = over_chunks(
-        lambda first, last: add(first, last - shared * (last < count)), count, _CHUNK
+        lambda first, last: add(first, last - _SHARED * (last < count)), count, _CHUNK
     )
-    parts += [add(last - shared, last) for last in range(_CHUNK, count, _CHUNK)]
+    parts += [add(last - _SHARED, last) for last in range(_CHUNK, count, _CHUNK)]
     of_border = np.zeros(by_border.shape[1])
     np.add.at(of_border, by_border.columns, np.sum(parts, axis=0))
     return of_positions, of_border
 
 
-def _derivatives(
-    by_position: ByPosition, by_border: JointColumns
-) -> tuple[tuple[np.ndarray, ...], tuple[int, int, int]]:
-    """The first arguments of both functions, and the last ones: joints, slots and order."""
-    n = by_position.shape[1]
-    firsts = np.searchsorted(by_border.joints, np.arange(n + 1))
-    slots = by_position.shape[2] // n
-    return (by_position, by_border.values, firsts), (n, slots, slots - 3)
-
-
-def _changes_in_parts(
-    by_position: ByPosition,
-    by_border: JointColumns,
-    position: Samples,
-    border: Float[np.ndarray, " border"],
-) -> Rows:
-    """Compute `equation_changes` by NumPy."""
-    near = np.zeros((len(by_position), by_position.shape[2]))
-    for columns, equations, samples in stencil_parts(by_position):
-        near[equations, columns] = position[samples]
-    changes = np.matmul(by_position, near[:, :, None])[:, :, 0]
-    return by_border.times(border) + changes
-
-
-def _gradients_in_parts(
-    by_position: ByPosition, by_border: JointColumns, force: Rows
-) -> tuple[Samples, Float[np.ndarray, " border"]]:
-    result = np.zeros((len(by_position) + 2, by_position.shape[1]))
-    of_equations = np.matmul(force[:, None, :], by_position)[:, 0]
-    for columns, equations, samples in stencil_parts(by_position):
-        result[samples] += of_equations[equations, columns]
-    return result, by_border.summed(force)
-
-
-def stencil_parts(by_position: ByPosition) -> list[tuple[slice, slice, slice]]:
-    """Parts of equations' stencils, from the earliest sample: columns, equations and samples.
-
-    >>> import numpy as np
-    >>> stencil_parts(np.zeros((5, 1, 3)))[1]
-    (slice(1, 2, None), slice(0, 5, None), slice(1, 6, None))
-    """
-    count, n, stencil = by_position.shape
-    return [
-        (slice(i * n, (i + 1) * n), slice(0, count), slice(i, count + i))
-        for i in range(stencil // n)
-    ]
+def _derivatives(by_position: ByPosition, by_border: JointColumns) -> tuple[np.ndarray, ...]:
+    """Return the first arguments of both functions; values of each joint begin at the last."""
+    firsts = np.searchsorted(by_border.joints, np.arange(by_position.shape[1] + 1))
+    return by_position, by_border.values, firsts

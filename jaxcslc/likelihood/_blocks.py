@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ._band import JointColumns, add_equations, equation_changes, equation_gradients
+from ._band import JointColumns, add_equations, equation_changes, equation_gradients, stencil
 from ._equations import AbstractEquations
 from ._laws import Intervals, Sticking, WorkingReadings
 from ._normal_equations import BandedEquations, Order
@@ -315,8 +315,7 @@ class MotionDerivatives(AbstractDerivatives):
 
     def stencil(self, order: Order) -> Int[np.ndarray, "equations positions"]:
         """Return the positions of each equation among the unknowns in order of time."""
-        position = order.position
-        return np.concatenate([position[:-2], position[1:-1], position[2:]], axis=1)
+        return stencil(order.position)
 
     def diagonals(self, order: Order) -> int:
         """Return the diagonals of the band: how far apart unknowns of an equation are, and one."""

@@ -23,7 +23,7 @@ from ..least_squares import (
 )
 from ..network import CSLC
 from ..uncertainty import SystematicError, missing_terms
-from ._band import stencil_parts
+from ._band import stencil
 from ._laws import score_share
 from ._normal_equations import Factored, Spectrum, gram
 from ._objective import Linear
@@ -115,12 +115,8 @@ def eliminated_rows(
     within = equations.start + 1 - first  # of the first equation among the samples
 
     torque = motion.by_border.between(equations).dense
-    for columns, of_part, samples in stencil_parts(motion.by_position):
-        some = _common(equations, of_part)
-        shift = samples.start - of_part.start
-        near = eliminated[order.position[some.start + shift : some.stop + shift]]
-        rows = slice(some.start - equations.start, some.stop - equations.start)
-        torque[rows] -= np.matmul(motion.by_position[some, :, columns], near)
+    near = eliminated[order.position[equations.start : equations.stop + 2]]
+    torque -= np.matmul(motion.by_position[equations], stencil(near))
     for reversals, equation, joint, derivative in motion.turns:
         inside = np.flatnonzero((equation >= equations.start) & (equation < equations.stop))
         turned = derivative[inside, None] * eliminated[order.turn[reversals[inside]]]
@@ -141,12 +137,6 @@ def eliminated_rows(
     scaled[rows, :series] = residuals["torque"][equations] * np.sqrt(of_torque)
     scaled[:, series:] = residuals["position"][stretch] * np.sqrt(of_position)
     return result, np.matmul(scaled[:, None], result)[:, 0]
-
-
-def _common(one: slice, other: slice) -> slice:
-    """Return what two slices share; empty, not reversed, where that is nothing."""
-    first = max(one.start, other.start)
-    return slice(first, max(min(one.stop, other.stop), first))
 
 
 Inputs = Float[np.ndarray, "equations joints inputs"]

@@ -107,7 +107,7 @@ static inline void add_sum(
             x[i] = *(const type*)(rows + each[i] * padded + at);                                 \\
             of[i] = factors + each[i] * stencil;                                                 \\
         }                                                                                        \\
-        for (long r = first; r < stencil; ++r) {                                                 \\
+        for (long r = 0; r < stencil; ++r) {                                                     \\
             type sum = *(type*)(mixed + targets[r] + at);                                        \\
             for (int i = 0; i < joints; ++i)                                                     \\
                 sum += of[i][r] * x[i];                                                          \\
@@ -125,22 +125,20 @@ static inline void add_sum(
         else                                                                                     \\
             ADDED(type, 3, active[i], active[i + 1], active[i + 2])
 
-/* Adds the squares of the equations of instants from `begin` to before `end`, n each. An instant's
-   are of positions at `slots` samples; the first of them is `order` before the instant, or missing.
+/* Adds the squares of the equations from `begin` to before `end`, n each, of positions at three
+   samples, the first of which has the equations' number.
 
    - firsts: where the n positions of each sample are in the band.
-   - weight: (count, n); by_position: (count, n, slots n).
+   - weight: (count, n); by_position: (count, n, 3 n).
    - values: (count, entries) derivatives by the border that are not 0, of `joints` and `indices`.
    - band: (size, width), diagonals first, a column after the other; mixed: (size, columns).
-   - memory: (slots n + columns + 8) n numbers; integers: (n + 1) (columns / 2 + 1) + slots n,
-     all 0. */
+   - memory: (3 n + columns + 8) n numbers; integers: (n + 1) (columns / 2 + 1) + 3 n, all 0. */
 void add_equations(
     const long* firsts, const double* weight, const double* by_position, const double* values,
     const long* joints, const long* indices, double* band, double* mixed, double* memory,
-    long* integers, long begin, long end, long n, long slots, long order, long width, long columns,
-    long entries)
+    long* integers, long begin, long end, long n, long width, long columns, long entries)
 {
-    const long stencil = slots * n, parts = columns / LANES + 1, padded = parts * LANES;
+    const long stencil = 3 * n, parts = columns / LANES + 1, padded = parts * LANES;
     double* const factors = memory;
     double* const rows = factors + stencil * n;
     long* const ends = integers;
@@ -159,21 +157,20 @@ void add_equations(
     }
     for (long e = begin; e < end; ++e) {
         const double* const a = by_position + e * n * stencil;
-        const long missing = e < order ? order - e : 0, first = missing * n;
         for (long i = 0; i < entries; ++i)
             rows[joints[i] * padded + indices[i]] = values[e * entries + i];
         for (long j = 0; j < n; ++j)
-            for (long r = first; r < stencil; ++r)
+            for (long r = 0; r < stencil; ++r)
                 factors[j * stencil + r] = weight[e * n + j] * a[j * stencil + r];
-        for (long slot = missing; slot < slots; ++slot)
+        for (long slot = 0; slot < 3; ++slot)
             for (long m = 0; m < n; ++m) {
-                const long r = slot * n + m, column = firsts[e - order + slot] + m;
+                const long r = slot * n + m, column = firsts[e + slot] + m;
                 targets[r] = column * columns;
                 /* Rows of the band one after the other, but for unknowns that are no positions. */
                 for (long from = r, to; from < stencil; from = to) {
-                    const long row = firsts[e - order + from / n] + from % n;
+                    const long row = firsts[e + from / n] + from % n;
                     to = (from / n + 1) * n;
-                    while (to < stencil && firsts[e - order + to / n] == row + to - from)
+                    while (to < stencil && firsts[e + to / n] == row + to - from)
                         to += n;
                     add_sum(band + column * width + row - column, factors + r, stencil, a + from,
                             stencil, n, to - from);
@@ -214,22 +211,21 @@ static void add_product(double factor, const double* one, double* sum, long coun
         *sum++ += factor * *one++;
 }
 
-/* How equations of instants from `begin` to before `end` change, (count, n).
+/* How equations from `begin` to before `end` change, (count, n).
 
    - by_position, values: as of `add_equations`; a joint's values begin at `firsts`, (n + 1).
-   - position: (count + slots - order - 1, n) changes; border: (entries) those of each value. */
+   - position: (count + 2, n) changes; border: (entries) those of each value. */
 void change_equations(
     const double* by_position, const double* values, const long* firsts, const double* position,
-    const double* border, double* change, long begin, long end, long n, long slots, long order)
+    const double* border, double* change, long begin, long end, long n)
 {
-    const long stencil = slots * n, entries = firsts[n];
+    const long stencil = 3 * n, entries = firsts[n];
     for (long e = begin; e < end; ++e) {
-        const long first = e < order ? (order - e) * n : 0;
-        const double* const near = position + (e - order) * n;
+        const double* const near = position + e * n;
         for (long j = 0; j < n; ++j) {
             const double* const a = by_position + (e * n + j) * stencil;
             const double* const b = values + e * entries;
-            change[e * n + j] = product(a + first, near + first, stencil - first)
+            change[e * n + j] = product(a, near, stencil)
                 + product(b + firsts[j], border + firsts[j], firsts[j + 1] - firsts[j]);
         }
     }
@@ -239,17 +235,16 @@ void change_equations(
    by each value. */
 void add_gradients(
     const double* by_position, const double* values, const long* firsts, const double* force,
-    double* position, double* border, long begin, long end, long n, long slots, long order)
+    double* position, double* border, long begin, long end, long n)
 {
-    const long stencil = slots * n, entries = firsts[n];
+    const long stencil = 3 * n, entries = firsts[n];
     for (long e = begin; e < end; ++e) {
-        const long first = e < order ? (order - e) * n : 0;
-        double* const near = position + (e - order) * n;
+        double* const near = position + e * n;
         for (long j = 0; j < n; ++j) {
             const double factor = force[e * n + j];
             const double* const a = by_position + (e * n + j) * stencil;
             const double* const b = values + e * entries;
-            add_product(factor, a + first, near + first, stencil - first);
+            add_product(factor, a, near, stencil);
             add_product(factor, b + firsts[j], border + firsts[j], firsts[j + 1] - firsts[j]);
         }
     }
@@ -345,6 +340,18 @@ def gram(rows: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "columns 
     return upper + np.triu(upper, 1).T
 
 
+def add_blocks(
+    band: Float[np.ndarray, "inner diagonals"],
+    index: Int[np.ndarray, "blocks unknowns"],
+    matrix: Float[np.ndarray, "blocks unknowns unknowns"],
+) -> None:
+    """Add symmetric blocks, each of some unknowns, to a band as of `BandedEquations`."""
+    row, column = np.tril_indices(index.shape[1])
+    first, second = index[:, row], index[:, column]
+    columns = np.minimum(first, second)
+    np.add.at(band, (columns, np.maximum(first, second) - columns), matrix[:, row, column])
+
+
 class BandedEquations:
     """Normal equations of unknowns in order of time, which are banded, and of some others.
 
@@ -369,11 +376,7 @@ class BandedEquations:
         matrix: Float[np.ndarray, "blocks unknowns unknowns"],
     ) -> None:
         """Add symmetric blocks, each of some unknowns that are near in time."""
-        row, column = np.tril_indices(index.shape[1])
-        first, second = index[:, row], index[:, column]
-        columns = np.minimum(first, second)
-        below = np.maximum(first, second) - columns
-        np.add.at(self.band, (columns, below), matrix[:, row, column])
+        add_blocks(self.band, index, matrix)
 
     def factored(
         self, damping: Float[np.ndarray, " inner"], free: Int[np.ndarray, " free"], size: int
