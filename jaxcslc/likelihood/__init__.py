@@ -27,6 +27,7 @@ from ._comparison import (
 )
 from ._equations import (
     AbstractEquations as AbstractEquations,
+    EquationPoint as EquationPoint,
     Linearisation as Linearisation,
     MotionEquations as MotionEquations,
 )

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ._band import JointColumns, add_equations, equation_changes, equation_gradients, stencil
-from ._equations import AbstractEquations
+from ._equations import AbstractEquations, EquationPoint
 from ._laws import Intervals, Sticking, WorkingReadings
 from ._normal_equations import BandedEquations, Order
 from ._point import Point, Step
@@ -200,11 +200,15 @@ class MotionBlock(AbstractResidualBlock):
     sticking: Sticking | None = None
     truncation: Float[np.ndarray, "equations series"] | float = 0.0
 
+    def at(self, point: Point) -> EquationPoint:
+        """Return what equations need to know of a point."""
+        turns, direction = self.signs.turns(point.turn), self.signs.direction
+        return EquationPoint(point.k, point.laws, point.q, turns, direction)
+
     def residuals(self, point: Point) -> Float[np.ndarray, "equations series"]:
         """Return recorded minus predicted torque; of equations without torque, minus what these
         predict."""
-        motion = point.q, self.signs.turns(point.turn), self.signs.direction
-        return self._left(self.equations.torque(point.k, point.laws, *motion))
+        return self._left(self.equations.torque(self.at(point)))
 
     def derivatives(self, point: Point, scale: Scale) -> "MotionDerivatives":
         """Return derivatives by three positions, the border and moments of reversals."""
@@ -215,8 +219,7 @@ class MotionBlock(AbstractResidualBlock):
     ) -> tuple[Float[np.ndarray, "equations series"], "MotionDerivatives"]:
         """Return both from one evaluation; without moments of reversals that are at a bound."""
         signs = self.signs
-        motion = point.q, signs.turns(point.turn), signs.direction
-        values = self.equations.linearised(point.k, point.laws, *motion)
+        values = self.equations.linearised(self.at(point))
         by_turn = np.zeros((3, len(signs.samples)))
         for index, offset in enumerate((-1, 0, 1)):
             inside = np.abs(point.turn - offset) < 1.0

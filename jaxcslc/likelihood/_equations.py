@@ -62,6 +62,24 @@ class Linearisation(NamedTuple):
     by_turn: Float[np.ndarray, "equations joints"]
 
 
+class EquationPoint(NamedTuple):
+    """Unknowns that equations of motion have, and the signs of a motion.
+
+    **Attributes**
+
+    - `k`: (p,); `laws`: (n,) logarithms of slopes of static friction, and what else equations have.
+    - `q`: (samples, series) positions; joints come first.
+    - `turn`: (equations, n) when a joint turns, in intervals about the sample; -1 for one that
+      moves one way. `direction`: 1 or -1, the sign of velocity after `turn`.
+    """
+
+    k: Coefficients
+    laws: Laws
+    q: Samples
+    turn: Turns
+    direction: Turns
+
+
 class AbstractEquations(abc.ABC):
     """The equation of motion at every sample but the ends, as a function of positions.
 
@@ -79,24 +97,11 @@ class AbstractEquations(abc.ABC):
     intervals: Float[np.ndarray, " intervals"]
 
     @abc.abstractmethod
-    def torque(
-        self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
-    ) -> Rows:
-        """Return torque of every equation, (equations, series).
-
-        **Arguments**
-
-        - `k`: (p,); `laws`: (n,) logarithms of slopes of static friction, and what else equations
-          have.
-        - `q`: (samples, series) positions; joints come first.
-        - `turn`: (equations, n) when a joint turns, in intervals about the sample; -1 for one
-          that moves one way. `direction`: 1 or -1, the sign of velocity after `turn`.
-        """
+    def torque(self, at: EquationPoint) -> Rows:
+        """Return torque of every equation, (equations, series)."""
 
     @abc.abstractmethod
-    def linearised(
-        self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
-    ) -> Linearisation:
+    def linearised(self, at: EquationPoint) -> Linearisation:
         """`torque` with derivatives."""
 
     def about(
@@ -112,17 +117,13 @@ class AbstractEquations(abc.ABC):
 
     def truncation(
         self,
-        k: Coefficients,
-        laws: Laws,
-        q: Samples,
+        at: EquationPoint,
         time: Float[np.ndarray, " samples"],
         part: Int[np.ndarray, " samples"],
-        turn: Turns,
-        direction: Turns,
     ) -> Rows:
         """Return truncation errors of sampled torques at present positions, (equations, series)."""
-        del k, laws, time, part, turn, direction
-        return np.zeros((len(q) - 2, q.shape[1]))
+        del time, part
+        return np.zeros((len(at.q) - 2, at.q.shape[1]))
 
     @property
     def presliding_distance(self) -> Joints:
@@ -157,27 +158,23 @@ class MotionEquations(AbstractEquations):
     network: CSLC
     intervals: Float[np.ndarray, " intervals"]
 
-    def torque(
-        self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
-    ) -> Rows:
+    def torque(self, at: EquationPoint) -> Rows:
         """Return what `AbstractEquations` declares."""
-        result, smooth, friction = np.empty(turn.shape), self._smooth, self._friction
+        result, smooth, friction = np.empty(at.turn.shape), self._smooth, self._friction
 
         def compute(first: int, last: int) -> None:
-            motion = self._motion(q, turn, direction, slice(first, last))
-            torque = smooth.torque(k, motion[:3])
+            motion = self._motion(at, slice(first, last))
+            torque = smooth.torque(at.k, motion[:3])
             for of_joints in friction:
-                torque[of_joints.joints] += of_joints.torque(k, laws, motion)
+                torque[of_joints.joints] += of_joints.torque(at.k, at.laws, motion)
             result[first:last] = torque.T
 
         over_chunks(compute, len(result), _CHUNK)
         return result
 
-    def linearised(
-        self, k: Coefficients, laws: Laws, q: Samples, turn: Turns, direction: Turns
-    ) -> Linearisation:
+    def linearised(self, at: EquationPoint) -> Linearisation:
         """Return what `AbstractEquations` declares."""
-        (count, n), smooth, friction = turn.shape, self._smooth, self._friction
+        (count, n), smooth, friction = at.turn.shape, self._smooth, self._friction
         entries = np.array([*smooth.entries, *(e for part in friction for e in part.entries)], int)
         order = np.lexsort(entries.reshape(-1, 2).T[::-1])
         torque, by_turn = np.zeros((2, count, n))
@@ -185,15 +182,15 @@ class MotionEquations(AbstractEquations):
 
         def compute(first: int, last: int) -> None:
             rows = slice(first, last)
-            motion = self._motion(q, turn, direction, rows)
+            motion = self._motion(at, rows)
             of_friction, by_motion = np.zeros((n, last - first)), np.zeros((3, n, last - first))
             by_friction: list[np.ndarray] = []
             for of_joints in friction:
-                mean, joints = of_joints.mean(k, laws, motion), of_joints.joints
+                mean, joints = of_joints.mean(at.k, at.laws, motion), of_joints.joints
                 of_friction[joints], by_motion[:, joints] = mean.torque, mean.by_motion
                 by_turn[rows, joints] = mean.by_turn.T
                 by_friction += [mean.by_coefficient, mean.by_slope]
-            total, columns = smooth.linearised(k, motion, by_motion, by_position[rows])
+            total, columns = smooth.linearised(at.k, motion, by_motion, by_position[rows])
             torque[rows] = (total + of_friction).T
             by_entry[rows] = np.concatenate([columns, *by_friction])[order].T
 
@@ -204,32 +201,28 @@ class MotionEquations(AbstractEquations):
 
     def truncation(
         self,
-        k: Coefficients,
-        laws: Laws,
-        q: Samples,
+        at: EquationPoint,
         time: Float[np.ndarray, " samples"],
         part: Int[np.ndarray, " samples"],
-        turn: Turns,
-        direction: Turns,
     ) -> Rows:
         """Return what `AbstractEquations` declares; see `triangle_truncation`."""
 
         def smooth(*motion: Rows) -> Rows:
-            return self._smooth.torque(k, [x.T for x in motion]).T
+            return self._smooth.torque(at.k, [x.T for x in motion]).T
 
-        result, shift = triangle_truncation(smooth, q, time, part)
-        motion = self._motion(q, turn, direction, slice(0, len(turn)))
+        result, shift = triangle_truncation(smooth, at.q, time, part)
+        motion = self._motion(at, slice(0, len(at.turn)))
         shifted = motion._replace(velocity=motion.velocity + shift.T)
         for friction in self._friction:
-            change = friction.torque(k, laws, shifted) - friction.torque(k, laws, motion)
-            result[:, friction.joints] += change.T
+            with_shift, without = (friction.torque(at.k, at.laws, x) for x in (shifted, motion))
+            result[:, friction.joints] += (with_shift - without).T
         return result
 
-    def _motion(self, q: Samples, turn: Turns, direction: Turns, rows: slice) -> JointMotion:
+    def _motion(self, at: EquationPoint, rows: slice) -> JointMotion:
         """Return the motion of some equations."""
-        positions = np.ascontiguousarray(q[rows.start : rows.stop + 2].T)
+        positions = np.ascontiguousarray(at.q[rows.start : rows.stop + 2].T)
         intervals = self.intervals[rows.start : rows.stop + 1]
-        return JointMotion.of(positions, intervals, turn[rows].T, direction[rows].T)
+        return JointMotion.of(positions, intervals, at.turn[rows].T, at.direction[rows].T)
 
     @cached_property
     def _smooth(self) -> "SmoothTorque":

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from ..friction import contact_states, dry_term
 from ..network import CSLC
-from ._equations import AbstractEquations, Linearisation, MotionEquations
+from ._equations import AbstractEquations, EquationPoint, Linearisation, MotionEquations
 
 
 Samples = Float[np.ndarray, "samples joints"]
@@ -93,18 +93,14 @@ class PreSlidingEquations(AbstractEquations):
         """Return what `AbstractEquations` declares."""
         return np.abs(self._sizes(k)), self.unknown
 
-    def torque(
-        self, k: Coefficients, laws: Joints, q: Samples, turn: Rows, direction: Rows
-    ) -> Rows:
+    def torque(self, at: EquationPoint) -> Rows:
         """Return what `AbstractEquations` declares."""
-        torque = self.base.torque(self._others(k), laws, q, turn, direction)
-        return torque + self._sizes(k) * self.state
+        torque = self.base.torque(self._others(at))
+        return torque + self._sizes(at.k) * self.state
 
-    def linearised(
-        self, k: Coefficients, laws: Joints, q: Samples, turn: Rows, direction: Rows
-    ) -> Linearisation:
+    def linearised(self, at: EquationPoint) -> Linearisation:
         """Return what `AbstractEquations` declares."""
-        others = self.base.linearised(self._others(k), laws, q, turn, direction)
+        others = self.base.linearised(self._others(at))
         columns = others.by_coefficient
         values = columns.values.copy()
         for joint, index in self._dry:
@@ -112,7 +108,7 @@ class PreSlidingEquations(AbstractEquations):
             entry = (columns.joints == joint) & (columns.columns == index)
             values[:, entry] = self.state[:, joint, None]
         return others._replace(
-            torque=others.torque + self._sizes(k) * self.state,
+            torque=others.torque + self._sizes(at.k) * self.state,
             by_coefficient=dataclasses.replace(columns, values=values),
         )
 
@@ -124,16 +120,12 @@ class PreSlidingEquations(AbstractEquations):
 
     def truncation(
         self,
-        k: Coefficients,
-        laws: Joints,
-        q: Samples,
+        at: EquationPoint,
         time: Float[np.ndarray, " samples"],
         part: Int[np.ndarray, " samples"],
-        turn: Rows,
-        direction: Rows,
     ) -> Rows:
         """Return the truncation error of friction without a state."""
-        return self.base.truncation(self._others(k), laws, q, time, part, turn, direction)
+        return self.base.truncation(self._others(at), time, part)
 
     def _sizes(self, k: Coefficients) -> Joints:
         """Return (n,) what states are multiplied by [N m or N]; 0 of joints without one."""
@@ -149,11 +141,11 @@ class PreSlidingEquations(AbstractEquations):
         indices = self.network.layout.indices("dry").tolist()
         return [pair for pair in zip(joints, indices, strict=True) if self.distances[pair[0]] > 0.0]
 
-    def _others(self, k: Coefficients) -> Coefficients:
-        """Return coefficients without friction that has a state."""
-        others = k.copy()
+    def _others(self, at: EquationPoint) -> EquationPoint:
+        """Return a point without friction that has a state."""
+        others = at.k.copy()
         others[[index for _, index in self._dry]] = 0.0
-        return others
+        return at._replace(k=others)
 
 
 def mean_states(

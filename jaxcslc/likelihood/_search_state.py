@@ -349,15 +349,19 @@ def objective_of(
     weight[without] = 0.0
     others = equations.noise(state.torque_noise)[of_equation, problem.joints :] ** -2.0
     others[readings.joined] = 0.0
+    motion = MotionBlock(
+        equations, readings.torque, signs, np.concatenate([weight, others], axis=1)
+    )
     left_out = state.truncation
-    if left_out is None:
-        left_out = _truncation(problem, equations, signs, point)
+    if left_out is None and readings.torque.sampling == "sampled":
+        left_out = equations.truncation(motion.at(point), readings.time, readings.part)
+    if left_out is not None:
+        motion = dataclasses.replace(motion, truncation=left_out)
     expected, known = problem.known(point, scale)
     at_rest = 1.0 / (_REST * state.position_noise[of_interval]) ** 2
     position_weight = problem.reading_shares / state.position_noise[readings.part] ** 2
-    weight = np.concatenate([weight, others], axis=1)
     blocks = {
-        "torque": MotionBlock(equations, readings.torque, signs, weight, truncation=left_out),
+        "torque": motion,
         "position": ReadingBlock(
             readings.position, readings.part, position_weight, state.intervals
         ),
@@ -370,17 +374,6 @@ def objective_of(
     if number >= len(MARGINS):
         objective = _with_sticking(problem, state, objective)
     return objective, (of_friction == 0.0) & ~without
-
-
-def _truncation(
-    problem: LikelihoodProblem, equations: AbstractEquations, signs: Signs, point: Point
-) -> Float[np.ndarray, "equations series"] | float:
-    """Return what equations of sampled torque leave out at present positions."""
-    readings = problem.readings
-    if readings.torque.sampling == "held":
-        return 0.0
-    motion = point.q, readings.time, readings.part, signs.turns(point.turn), signs.direction
-    return equations.truncation(point.k, point.laws, *motion)
 
 
 def _with_sticking(

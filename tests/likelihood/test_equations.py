@@ -70,7 +70,7 @@ def test_derivatives(objective: tuple[Objective, Point]) -> None:
     turns, direction = motion.signs.turns(point.turn), motion.signs.direction
     network, intervals = motion.equations.network, motion.equations.intervals
     traced = TracedEquations(network)
-    linear = motion.equations.linearised(point.k, point.slopes, point.q, turns, direction)
+    linear = motion.equations.linearised(motion.at(point))
 
     def torque(k: jax.Array, slopes: jax.Array, q: jax.Array, turns: jax.Array) -> jax.Array:
         return traced._torque(intervals, k, slopes, q, turns, direction)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from jaxcslc.likelihood import MotionEquations
+from jaxcslc.likelihood import EquationPoint, MotionEquations
 from tests import arms
 
 
@@ -26,8 +26,9 @@ def averaged(
     q = (velocity * t + 0.5 * acceleration * t**2)[:, None]
     signs = np.full((1, 1), turn), np.full((1, 1), direction)
     equations = MotionEquations(network, np.array(h))
-    result = equations.linearised(k, np.log([SLOPE]), q, *signs)
-    assert_allclose(equations.torque(k, np.log([SLOPE]), q, *signs), result.torque, rtol=1e-12)
+    at = EquationPoint(k, np.log([SLOPE]), q, *signs)
+    result = equations.linearised(at)
+    assert_allclose(equations.torque(at), result.torque, rtol=1e-12)
     return float(result.torque[0, 0]), float(result.by_turn[0, 0])
 
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.likelihood import MotionEquations, _equations
+from jaxcslc.likelihood import EquationPoint, MotionEquations, _equations
 from tests.likelihood.traced_equations import TracedEquations
 
 
@@ -44,10 +44,10 @@ def test_they_are_those_in_jax(arm: jc.CSLC, chunk: int, monkeypatch: pytest.Mon
     turn = np.where(rng.uniform(size=shape) < 0.5, -1.0, rng.uniform(-1.0, 1.0, shape))
     direction = rng.choice([-1.0, 1.0], shape)
     k, slopes = rng.uniform(-1.0, 1.0, arm.size), np.log(rng.uniform(1.0, 20.0, n))
-    equations = MotionEquations(arm, intervals)
+    equations, at = MotionEquations(arm, intervals), EquationPoint(k, slopes, q, turn, direction)
 
     expected = TracedEquations(arm).linearised(intervals, k, slopes, q, turn, direction)
-    obtained = equations.linearised(k, slopes, q, turn, direction)
+    obtained = equations.linearised(at)
     assert_allclose(obtained.torque, expected.torque, rtol=1e-9, atol=1e-12)
     # Forward differences are off by their step, and by rounding over it.
     assert_allclose(obtained.by_position, expected.by_position, rtol=1e-6, atol=1e-3)
@@ -55,7 +55,7 @@ def test_they_are_those_in_jax(arm: jc.CSLC, chunk: int, monkeypatch: pytest.Mon
     assert_allclose(obtained.by_coefficient.dense, columns, rtol=1e-9, atol=1e-11)
     inside = turn > -1.0  # without a turn, there is no such derivative
     assert_allclose(obtained.by_turn[inside], np.asarray(expected.by_turn)[inside], atol=1e-12)
-    torque = equations.torque(k, slopes, q, turn, direction)
+    torque = equations.torque(at)
     assert_allclose(torque, expected.torque, atol=1e-12)
 
 
@@ -67,6 +67,6 @@ def test_more_operations_than_a_compiler_takes_are_those_of_numpy(
     network = jc.derive(robot.with_friction("viscous"), lengths="numeric")
     q, ones = np.sin(0.03 * np.arange(12.0))[:, None], np.ones((10, 1))
     k, slope, intervals = np.array([0.5, 0.3, -0.1, 0.2]), np.zeros(1), np.full(11, 0.01)
-    torque = MotionEquations(network, intervals).torque(k, slope, q, -ones, ones)
+    torque = MotionEquations(network, intervals).torque(EquationPoint(k, slope, q, -ones, ones))
     expected = TracedEquations(network).torque(intervals, k, slope, q, -ones, ones)
     assert_allclose(torque, expected, atol=1e-12)

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.friction import fit_pre_sliding
-from jaxcslc.likelihood import MotionEquations, PreSlidingEquations
+from jaxcslc.likelihood import EquationPoint, MotionEquations, PreSlidingEquations
 from jaxcslc.likelihood._pre_sliding_equations import mean_states
 from tests import arms
 
@@ -94,15 +94,16 @@ class TestStates:
         k = np.arange(1.0, network.size + 1.0)
         signs = np.sign(np.diff(q, axis=0)[1:])
         motion = np.zeros(2), q, -np.ones(signs.shape), signs
-        torque, plain = equations.torque(k, *motion), base.torque(k, *motion)
+        at = EquationPoint(k, *motion)
+        torque, plain = equations.torque(at), base.torque(at)
         index = network.names.index("kd1")
-        step = base.linearised(k, *motion).by_coefficient.dense[:, 0, index]
+        step = base.linearised(at).by_coefficient.dense[:, 0, index]
         state, _ = mean_states(q, time, distance)
         assert_allclose(torque[:, 0], plain[:, 0] + k[index] * (state[:, 0] - step), atol=1e-12)
         assert_allclose(torque[:, 1], plain[:, 1], atol=1e-12)
-        derivatives = equations.linearised(k, *motion)
+        derivatives = equations.linearised(at)
         assert_allclose(derivatives.torque, torque, atol=1e-12)
-        columns = base.linearised(k, *motion).by_coefficient.dense
+        columns = base.linearised(at).by_coefficient.dense
         columns[:, 0, index] = state[:, 0]
         assert_allclose(derivatives.by_coefficient.dense, columns, atol=1e-12)
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.likelihood import MotionEquations, triangle_mean
+from jaxcslc.likelihood import EquationPoint, MotionEquations, triangle_mean
 from tests import arms
 
 
@@ -31,9 +31,10 @@ def test_equations_are_means_of_torque(pendulum: jc.CSLC, uneven: float) -> None
     q = motion(time)[0]
     equations = MotionEquations(pendulum, intervals)
     one_way, slopes = np.ones((198, 1)), np.zeros(1)
-    predicted = equations.torque(K, slopes, q, -one_way, one_way)
+    at = EquationPoint(K, slopes, q, -one_way, one_way)
+    predicted = equations.torque(at)
     part = np.zeros(200, int)
-    missing = equations.truncation(K, slopes, q, time, part, -one_way, one_way)
+    missing = equations.truncation(at, time, part)
     recorded = triangle_mean(time, np.asarray(pendulum.torque(K, *motion(time))))
     # The same mean by Gauss's quadrature over both sides of each triangle.
     nodes, weights = np.polynomial.legendre.leggauss(5)
@@ -62,10 +63,10 @@ def test_two_recordings(pendulum: jc.CSLC) -> None:
     ahead, slopes = np.ones((118, 1)), np.zeros(1)
     direction = np.where(np.arange(118)[:, None] < 59, 1.0, -1.0)
     both = MotionEquations(pendulum, np.full(119, 0.01)).truncation(
-        K, slopes, q, time, part, -ahead, direction
+        EquationPoint(K, slopes, q, -ahead, direction), time, part
     )
     alone = MotionEquations(pendulum, np.full(59, 0.01)).truncation(
-        K, slopes, q[60:], time[60:], part[:60], -ahead[60:], direction[60:]
+        EquationPoint(K, slopes, q[60:], -ahead[60:], direction[60:]), time[60:], part[:60]
     )
     assert_allclose(both[60:], alone, atol=1e-12)
     assert_allclose(both[58:60], 0.0, atol=1e-12)

@@ -19,6 +19,7 @@ from jaxcslc.least_squares import regressor_of
 from jaxcslc.likelihood import (
     AbstractEquations,
     ConstantBlock,
+    EquationPoint,
     JointColumns,
     LikelihoodProblem,
     Linearisation,
@@ -315,43 +316,21 @@ class ElasticEquations(AbstractEquations):
         """Add that of gears' equations, which is small beside that of motors [N m or N]."""
         return np.concatenate([torque_noise, _LINK_NOISE * torque_noise[:, self.joints]], axis=1)
 
-    def torque(
-        self,
-        k: Float[np.ndarray, " coefficients"],
-        laws: Float[np.ndarray, " laws"],
-        q: Series,
-        turn: Turns,
-        direction: Turns,
-    ) -> Rows:
+    def torque(self, at: EquationPoint) -> Rows:
         """Return torque of motors, then what is left of gears' equations, (equations, n + f).
 
-        **Arguments**
-
-        - `laws`: (n + 4 f,) logarithms of friction's slopes, then `TransmissionParameters`.
-        - `q`: (samples, n + f); `turn`, `direction`: (equations, n), of rotors.
+        `at` has (n + 4 f,) laws: logarithms of friction's slopes, then `TransmissionParameters`;
+        (samples, n + f) positions, and signs of rotors.
         """
-        n = self.rigid.network.joint_count
-        slopes, rotor, link = laws[:n], q[:, :n], self._link(q)
-        signs = turn, direction
-        of_links = self.rigid.torque(np.where(self.friction, 0.0, k), slopes, link, *signs)
-        of_friction = self.rigid.torque(np.where(self.friction, k, 0.0), slopes, rotor, *signs)
-        return self._equations(laws, q, of_links, of_friction)
+        of_links, of_friction = map(self.rigid.torque, self._rigid_points(at))
+        return self._equations(at.laws, at.q, of_links, of_friction)
 
-    def linearised(
-        self,
-        k: Float[np.ndarray, " coefficients"],
-        laws: Float[np.ndarray, " laws"],
-        q: Series,
-        turn: Turns,
-        direction: Turns,
-    ) -> Linearisation:
+    def linearised(self, at: EquationPoint) -> Linearisation:
         """Return the same with derivatives by positions, by `k` and `laws`, and by turns."""
+        k, laws, q = at[:3]
         n, f = self.rigid.network.joint_count, len(self.joints)
-        slopes, rotor, link = laws[:n], q[:, :n], self._link(q)
-        parameters = TransmissionParameters.of(laws[n:])
-        signs = turn, direction
-        of_links = self.rigid.linearised(np.where(self.friction, 0.0, k), slopes, link, *signs)
-        of_friction = self.rigid.linearised(np.where(self.friction, k, 0.0), slopes, rotor, *signs)
+        rotor, parameters = q[:, :n], TransmissionParameters.of(laws[n:])
+        of_links, of_friction = map(self.rigid.linearised, self._rigid_points(at))
         stencil = self._stencil
         beyond = stencil.windup(rotor[:, self.joints] - q[:, n:], parameters.play, self.width)
         count = len(q) - 2
@@ -418,6 +397,15 @@ class ElasticEquations(AbstractEquations):
         borne = of_links[:, self.joints] - parameters.rotor_inertia * self._acceleration(q[:, n:])
         gears = beyond + parameters.lag * self._rate(difference)
         return np.concatenate([motor, borne - gears / parameters.compliance], axis=1)
+
+    def _rigid_points(self, at: EquationPoint) -> tuple[EquationPoint, EquationPoint]:
+        """Return those of links without friction, and of rotors with friction alone."""
+        n = self.rigid.network.joint_count
+        rigid = at._replace(laws=at.laws[:n], q=self._link(at.q))
+        return (
+            rigid._replace(k=np.where(self.friction, 0.0, at.k)),
+            rigid._replace(k=np.where(self.friction, at.k, 0.0), q=at.q[:, :n]),
+        )
 
     def _link(self, q: Series) -> Float[np.ndarray, "samples joints"]:
         """Return positions of all links."""

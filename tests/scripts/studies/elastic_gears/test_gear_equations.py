@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.likelihood import MotionEquations, TorqueRecord
+from jaxcslc.likelihood import EquationPoint, MotionEquations, TorqueRecord
 from scripts.studies.likelihood.elastic_gears import ElasticEquations, Stencil
 
 
@@ -88,14 +88,13 @@ class TestElasticEquations:
         q = np.stack([np.sin(20 * time), np.sin(13 * time), np.sin(13 * time)], axis=1)
         q[:, 2] += 4e-3 * np.sin(200 * time)
         signs = np.ones((10, 2))
-        obtained = equations.linearised(k, laws, q, -signs, signs)
-        assert_allclose(obtained.torque, equations.torque(k, laws, q, -signs, signs))
+        at = EquationPoint(k, laws, q, -signs, signs)
+        obtained = equations.linearised(at)
+        assert_allclose(obtained.torque, equations.torque(at))
         by_position = np.asarray(obtained.by_position).reshape(10, 3, 3, 3)
         for series in range(3):
             step = 1e-7 * (np.arange(12) == 6)[:, None] * (np.arange(3) == series)
-            up, down = (
-                np.asarray(equations.torque(k, laws, q + s * step, -signs, signs)) for s in (1, -1)
-            )
+            up, down = (np.asarray(equations.torque(at._replace(q=q + s * step))) for s in (1, -1))
             expected = (up - down) / 2e-7
             for index in range(3):
                 row = 6 - index
@@ -105,7 +104,7 @@ class TestElasticEquations:
         for index in [*range(two_joints.size), *range(two_joints.size + 1, len(unknowns))]:
             step = 1e-5 * np.abs(unknowns[index]) * (np.arange(len(unknowns)) == index)
             up, down = (
-                np.asarray(equations.torque(x[: len(k)], x[len(k) :], q, -signs, signs))
+                np.asarray(equations.torque(at._replace(k=x[: len(k)], laws=x[len(k) :])))
                 for x in (unknowns + step, unknowns - step)
             )
             expected = (up - down) / (2 * step[index])
@@ -125,7 +124,7 @@ class TestElasticEquations:
         q = np.concatenate([true.rotor, true.link], axis=1)
         direction = np.where(true.rotor[2:] < true.rotor[:-2], -1.0, 1.0)
         turn = -np.ones_like(direction)
-        predicted = equations.torque(true.k, laws, q, turn, direction)
+        predicted = equations.torque(EquationPoint(true.k, laws, q, turn, direction))
         recording = jc.Recording(true.time, true.rotor, true.torque)
         held = TorqueRecord.of([recording], "held").averaged
         assert np.sqrt(np.mean((predicted[:, :1] - held) ** 2)) < 2e-3
