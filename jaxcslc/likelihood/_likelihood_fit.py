@@ -571,9 +571,15 @@ def border_errors(minimum: Minimum, errors: Errors) -> BorderErrors:
     return BorderErrors(reported, spectrum, covariance, independent, error)
 
 
-def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> LikelihoodFit:
-    """Return the result of a search, with standard errors for independent or correlated
-    residuals."""
+SPACED = ("every", "spacing", "noise_excitation")
+"""Fields of `LikelihoodFit` that say how far apart positions are."""
+
+
+def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors, **fields: Any) -> LikelihoodFit:
+    """Return the result of a search, with standard errors for independent or correlated residuals.
+
+    - `fields`: those of `SPACED`, with the defaults of `LikelihoodFit`.
+    """
     point, p, n = minimum.point, network.size, network.joint_count
     residual, used = minimum.linear.residuals["torque"][:, :n], minimum.counted
     counts = used.sum(axis=0).astype(float)
@@ -627,4 +633,5 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors) -> Likelihoo
         steps=minimum.steps,
         converged=minimum.converged,
         systematic=systematic,
+        **fields,
     )

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -12,7 +12,7 @@ from ..bodies import Prior
 from ..least_squares import ERRORS, Errors, Identification, Settings
 from ..network import CSLC
 from ..recordings import Recording
-from ._likelihood_fit import LikelihoodFit, Misfit, likelihood_fit
+from ._likelihood_fit import SPACED, LikelihoodFit, Misfit, likelihood_fit
 from ._point import Point
 from ._possible_bodies import possible_bodies
 from ._problem import LikelihoodProblem, SearchStart, check_prior, starting_point
@@ -26,28 +26,14 @@ _MISFIT_TOLERANCE = 1e-3
 
 
 class _Searched(NamedTuple):
-    """A problem, where its search started, where it ended, and noise that excites there."""
+    """A problem, where its search started, where it ended, noise that excites there, and why
+    positions are as far apart as they are."""
 
     problem: LikelihoodProblem
     first: SearchStart
     minimum: Minimum
     noise: NoiseExcitation
-
-    @classmethod
-    def of(
-        cls,
-        estimator: "MaximumLikelihood",
-        network: CSLC,
-        recordings: Sequence[Recording],
-        start: Identification | None,
-        every: int,
-        report: Callable[[str], None],
-    ) -> "_Searched":
-        """Search with positions at every so many samples."""
-        problem, first = estimator.start(network, recordings, start, every)
-        minimum = search(problem, *first, report)
-        noise = NoiseExcitation.of(network, minimum, first.point.q, every)
-        return cls(problem, first, minimum, noise)
+    spacing: SpacingChoice | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -168,37 +154,50 @@ class MaximumLikelihood:
         recordings = [recording] if isinstance(recording, Recording) else list(recording)
         report = progress or (lambda words: None)
         if isinstance(start, LikelihoodFit):
-            return self.as_of(start)._near(network, recordings, start, report)
-        every = 1 if self.every == "auto" else self.every
-        searched, spacing = self._spaced(network, recordings, start, every, report)
-        problem, first, minimum, noise = searched
-        fit = self._fit(network, minimum, noise.every)
-        fit = dataclasses.replace(fit, spacing=spacing, noise_excitation=noise)
-        return self._with_bodies(network, problem, minimum, fit, first[1:], report)
+            problem, minimum = self._near(network, recordings, start, report)
+            fields: dict[str, Any] = {name: getattr(start, name) for name in SPACED}
+            levels = None  # those of `start`
+        else:
+            problem, first, minimum, noise, spacing = self._spaced(
+                network, recordings, start, report
+            )
+            fields = {"every": noise.every, "spacing": spacing, "noise_excitation": noise}
+            levels = first[1:]
+        fit = likelihood_fit(network, minimum, self.errors, **fields)
+        if not self.possible:
+            return fit
+        found = network, problem, minimum, fit, levels
+        return possible_bodies(*found, prior=self.prior, errors=self.errors, progress=report)
 
     def _spaced(
         self,
         network: CSLC,
         recordings: Sequence[Recording],
         start: Identification | None,
-        every: int,
         report: Callable[[str], None],
-    ) -> tuple[_Searched, SpacingChoice | None]:
+    ) -> _Searched:
         """Search with positions as far apart as they are to be, and say why if that is chosen."""
-        searched = _Searched.of(self, network, recordings, start, every, report)
+
+        def searched(every: int) -> _Searched:
+            problem, first = self.start(network, recordings, start, every)
+            minimum = search(problem, *first, report)
+            noise = NoiseExcitation.of(network, minimum, first.point.q, every)
+            return _Searched(problem, first, minimum, noise)
+
         if self.every != "auto":
-            return searched, None
-        excess = excess_noise(searched.problem, searched.minimum)
+            return searched(self.every)
+        result = searched(1)
+        excess = excess_noise(result.problem, result.minimum)
         noisy: tuple[NoiseExcitation, ...] = ()
         samples = min(recording.samples for recording in recordings)
         wider: int | None = spacing_for(excess, samples)
         while wider:
-            if wider > every:
-                every = wider
-                searched = _Searched.of(self, network, recordings, start, every, report)
-            wider = searched.noise.wider_spacing(samples)
-            noisy += (searched.noise,) if wider else ()
-        return searched, SpacingChoice(every, tuple(excess.tolist()), noisy)
+            if wider > result.noise.every:
+                result = searched(wider)
+            wider = result.noise.wider_spacing(samples)
+            noisy += (result.noise,) if wider else ()
+        spacing = SpacingChoice(result.noise.every, tuple(excess.tolist()), noisy)
+        return result._replace(spacing=spacing)
 
     def as_of(self, fit: LikelihoodFit) -> "MaximumLikelihood":
         """Return the same with the spacing of a fit."""
@@ -210,52 +209,13 @@ class MaximumLikelihood:
         recordings: Sequence[Recording],
         near: LikelihoodFit,
         report: Callable[[str], None],
-    ) -> LikelihoodFit:
-        """Fit near another fit, with its noise levels."""
-        problem, first = self.start(network, recordings, near.fit, near.every)
-        first = SearchStart(_point_near(first.point, near), near.torque_noise, near.position_noise)
-        minimum = search(
-            problem,
-            *first,
-            report,
-            fixed_levels=True,
-            edge=near.edge,
-            moments=near.reversal_moments,
-        )
-        fit = dataclasses.replace(
-            self._fit(network, minimum, near.every),
-            spacing=near.spacing,
-            noise_excitation=near.noise_excitation,
-        )
-        return self._with_bodies(network, problem, minimum, fit, None, report)
-
-    def _fit(self, network: CSLC, minimum: Minimum, every: int) -> LikelihoodFit:
-        return dataclasses.replace(likelihood_fit(network, minimum, self.errors), every=every)
-
-    def _with_bodies(
-        self,
-        network: CSLC,
-        problem: LikelihoodProblem,
-        minimum: Minimum,
-        fit: LikelihoodFit,
-        levels: tuple[np.ndarray, np.ndarray] | None,
-        report: Callable[[str], None],
-    ) -> LikelihoodFit:
-        """Return the fit, with possible bodies if they are asked for; `levels` are theirs."""
-        if not self.possible:
-            return fit
-        with_bodies = possible_bodies(
-            network,
-            problem,
-            minimum,
-            fit,
-            levels,
-            prior=self.prior,
-            errors=self.errors,
-            progress=report,
-        )
-        kept = {name: getattr(fit, name) for name in ("every", "spacing", "noise_excitation")}
-        return dataclasses.replace(with_bodies, **kept)
+    ) -> tuple[LikelihoodProblem, Minimum]:
+        """Search near a fit, with its noise levels."""
+        problem, (point, *_) = self.start(network, recordings, near.fit, near.every)
+        levels = near.torque_noise, near.position_noise
+        options = {"edge": near.edge, "moments": near.reversal_moments}
+        point = _point_near(point, near)
+        return problem, search(problem, point, *levels, report, fixed_levels=True, **options)
 
     def misfit(
         self,

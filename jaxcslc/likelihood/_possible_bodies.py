@@ -11,7 +11,7 @@ from jaxtyping import Float
 from ..bodies import PhysicalParameters, Prior, fixed_bodies, physical_parameters
 from ..least_squares import Errors, Identification
 from ..network import CSLC
-from ._likelihood_fit import LikelihoodFit, likelihood_fit
+from ._likelihood_fit import SPACED, LikelihoodFit, likelihood_fit
 from ._normal_equations import Factored
 from ._objective import Linear, Objective
 from ._problem import LikelihoodProblem
@@ -221,6 +221,7 @@ def possible_bodies(
         converged=settled and minimum.converged,
         bodies=bodies,
         free=free.fit,
+        **{name: getattr(free, name) for name in SPACED},
     )
 
 

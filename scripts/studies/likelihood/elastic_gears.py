@@ -766,7 +766,7 @@ def fit_with_gears(
     every = 1 if estimator.every == "auto" else estimator.every
     problem, start = estimator.start(network, [recording], None, every)
     minimum = transmission_search(problem, start, joints, progress)
-    fit = likelihood_fit(network, minimum, estimator.errors)
+    fit = likelihood_fit(network, minimum, estimator.errors, every=every)
     border = border_errors(minimum, estimator.errors)
     point, part = minimum.point, minimum.point.layout.part(GEARS)
     values, errors = map(TransmissionParameters.of, (point.values(GEARS), border.error[part]))
@@ -782,4 +782,4 @@ def fit_with_gears(
         rotor_inertia_error=errors.rotor_inertia,
         link_position=point.q[:, problem.joints :],
     )
-    return GearFit(dataclasses.replace(fit, every=every), gears)
+    return GearFit(fit, gears)
