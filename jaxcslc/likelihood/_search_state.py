@@ -1,4 +1,4 @@
-"""What changes from step to step of a search, levels of noise among it.
+"""What changes from step to step of a search: signs, weights, levels of noise, intervals.
 
 Noise levels are those of marginal likelihood, from draws of the present noise.
 """
@@ -7,171 +7,20 @@ import dataclasses
 import enum
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
+from ..network import CoupledTerm
 from ._blocks import TURN, MotionBlock, PriorBlock, ReadingBlock, RestBlock, ReversalBlock
 from ._equations import AbstractEquations
 from ._laws import Intervals, Sticking, sticking_equations
-from ._levenberg import DAMPING, LevenbergStep
-from ._normal_equations import Factored
+from ._levenberg import DAMPING, SMALL_DAMPING, LevenbergStep, LinearMinimum
 from ._objective import Linear, Objective, Residuals
 from ._point import Point
 from ._problem import LikelihoodProblem
-from ._signs import Signs
+from ._signs import Signs, dilated
 
 
-# A noise level falls to no less than this part in a step (continuation: while torque counts for
-# little, the sum of squares has no other minima near).
-_FALL = 0.25
 Levels = Float[np.ndarray, "recordings joints"]
-
-
-@dataclasses.dataclass(frozen=True)
-class NoiseDraws:
-    """Residuals that a fit of all unknowns leaves of noise of the present levels, one draw of each.
-
-    Errors of readings that are intervals are uniform, and count by their scores.
-
-    **Attributes**
-
-    - `by_torque`, `by_position`: residuals of torque's noise alone, and of positions' alone.
-    - `torque`: (equations, n) the noise of torques that was drawn, in standard deviations;
-      `position`: (samples, n) that of positions.
-    """
-
-    by_torque: Residuals
-    by_position: Residuals
-    torque: Float[np.ndarray, "equations series"]
-    position: Float[np.ndarray, "samples joints"]
-
-    @classmethod
-    def of(
-        cls,
-        linear: Linear,
-        factored: Factored,
-        part: Int[np.ndarray, " samples"],
-        torque_noise: Levels,
-        position_noise: Levels,
-    ) -> "NoiseDraws":
-        """Draw noise and fit it; `part`: number of the recording of each sample."""
-        rng = np.random.default_rng(0)
-        counts = linear.weights["torque"] > 0.0
-        normal = np.where(counts, rng.normal(size=counts.shape), 0.0)
-        noise = linear.objective.motion.equations.noise(torque_noise)
-        torque = normal * noise[part[1:-1]]
-        weight = linear.weights["position"]
-        position = rng.normal(size=weight.shape) * position_noise[part]
-        intervals = linear.objective.readings.intervals
-        if intervals is not None:
-            counts = intervals.edge > 0.0
-            errors = rng.uniform(-0.5, 0.5, weight.shape) * intervals.step
-            readings = intervals.working(np.where(counts, errors, 0.0), weight)
-            position = np.where(counts, readings.weight * readings.residual / weight, position)
-
-        drawn = [linear.zeros(torque=torque), linear.zeros(position=position)]
-        steps = linear.steps(factored, drawn)
-        by_torque, by_position = map(linear.after, steps, drawn)
-        return cls(by_torque, by_position, normal, position)
-
-
-def noise_levels(
-    residuals: Residuals,
-    draws: NoiseDraws,
-    counted: Bool[np.ndarray, "equations joints"],
-    moving: Bool[np.ndarray, "samples joints"],
-    part: Int[np.ndarray, " samples"],
-    torque_noise: Levels,
-    position_noise: Levels,
-) -> tuple[Levels, Levels]:
-    """Return the levels at which residuals would be as large as they are.
-
-    The squares of what is left of both kinds of noise add up, so that the level of torque noise
-    follows from what positions do not explain (a fixed point of the marginal likelihood, whose
-    trace is estimated from one draw; Harville 1977).
-
-    **Arguments**
-
-    - `residuals`: at the minimum; `draws`: of the present levels.
-    - `counted`: equations, `moving`: readings that count fully.
-    - `part`: number of the recording of each sample.
-    - `torque_noise`, `position_noise`: the present levels.
-    """
-    new_torque, new_position = torque_noise.copy(), position_noise.copy()
-    for index in np.ndindex(*torque_noise.shape):
-        number, joint = index
-        rows = counted[:, joint] & (part[1:-1] == number)
-        if rows.any():
-            square, alone, others = (
-                np.median(np.abs(x["torque"][rows, joint])) ** 2
-                for x in (residuals, draws.by_torque, draws.by_position)
-            )
-            ratio = (square - others) / alone if alone > 0.0 else 0.0
-            new_torque[index] = torque_noise[index] * np.sqrt(np.clip(ratio, _FALL**2, 9.0))
-        rows = moving[:, joint] & (part == number)
-        if rows.any():
-            square, alone, others = (
-                np.mean(x["position"][rows, joint] ** 2)
-                for x in (residuals, draws.by_position, draws.by_torque)
-            )
-            ratio = (square - others) / alone if alone > 0.0 else 1.0
-            new_position[index] = position_noise[index] * np.sqrt(np.clip(ratio, 0.1, 9.0))
-    return new_torque, new_position
-
-
-def hidden_noise(
-    seen: Levels,
-    linear: Linear,
-    part: Int[np.ndarray, " samples"],
-    torque_noise: Levels,
-) -> Levels:
-    """Return the least noise of positions beside torque noise that would hide it.
-
-    Where noise of positions makes less of an equation's error than torque noise does, residuals say
-    little of its level, and a small one is as likely as none; with none, noise of accelerations
-    makes inertias too small. So there the level is at least what readings themselves scatter by. If
-    it is motion that they see, torque noise has made it: little is lost, for that is at the highest
-    frequencies, which say nothing of coefficients.
-
-    **Arguments**
-
-    - `seen`: (recordings, n) scatter of readings about a smooth motion [rad or m].
-    - `linear`: equations about the present point; `part` of the recording of each sample.
-    - `torque_noise`: the present levels.
-    """
-    count, n = seen.shape
-    by_position = linear.motion.by_position
-    series = by_position.shape[1]
-    stencil = by_position.reshape(len(by_position), series, -1, series)[:, :n, :, :n]
-    size = np.sqrt(np.sum(stencil**2, axis=2))  # of the equation of one joint, by another's noise
-    result = np.zeros_like(seen)
-    for number in range(count):
-        rows = part[1:-1] == number
-        of_noise = np.median(size[rows], axis=0) / torque_noise[number][:, None]
-        result[number] = np.minimum(
-            seen[number], 1.0 / np.maximum(np.max(of_noise, axis=0), 1e-300)
-        )
-    return result
-
-
-def position_errors(
-    draws: NoiseDraws,
-    moving: Bool[np.ndarray, "samples joints"],
-    part: Int[np.ndarray, " samples"],
-    recordings: int,
-) -> Levels:
-    """Return standard deviations of estimated positions with their offsets; infinite if none
-    moves."""
-    of_torque, of_position = draws.by_torque["position"], draws.by_position["position"]
-    squares = (draws.position - of_position) ** 2 + of_torque**2
-    result = np.full((recordings, squares.shape[1]), np.inf)
-    for index in np.ndindex(*result.shape):
-        number, joint = index
-        rows = moving[:, joint] & (part == number)
-        if rows.any():
-            result[index] = np.sqrt(np.mean(squares[rows, joint]))
-    return result
-
-
 # Equations left uncertain on either side of a reversal, step by step; after these steps, reversals
 # are moments to be estimated.
 MARGINS = (4, 3, 2)
@@ -315,6 +164,42 @@ def with_signs(
     return dataclasses.replace(state, signs=signs, point=point, ambiguous=ambiguous), False
 
 
+def with_common_shafts(
+    problem: LikelihoodProblem, state: SearchState, number: int
+) -> tuple[SearchState, bool]:
+    """Leave out equations in which a common shaft of two joints turns.
+
+    Also returns whether these equations are those of before.
+
+    Dry friction of a shaft that two joints turn together has the sign of a sum of their velocities,
+    which no sign of a single joint holds while a step is judged. Where the shaft turns, the sum of
+    squares jumps with noise of positions. Linear equations do not know of that, and damping grows
+    without an end (a Stäubli TX40, which begins at rest: 12 were promised, and a thirtieth of that
+    step lost 10).
+
+    As of other reversals, more is left out in the first steps; later no equation comes back.
+    """
+    terms = problem.equations.network.terms
+    pairs = [
+        pair
+        for term in terms
+        if isinstance(term, CoupledTerm) and term.kind == "coupled_dry"
+        for pair in term.pairs
+    ]
+    if not pairs:
+        return state, True
+    mask = np.zeros_like(state.undecided)
+    margin = MARGINS[number] if number < len(MARGINS) else 0
+    for pair in pairs:
+        joints = [pair.first - 1, pair.second - 1]
+        sign = np.sign(np.diff(state.point.q[:, joints] @ [1.0, float(pair.ratio)]))
+        mask[:, joints] |= dilated((sign[1:] * sign[:-1] <= 0.0)[:, None], margin)
+    if number >= SIGN_STEPS:
+        mask |= state.undecided
+    same = np.array_equal(mask, state.undecided)
+    return dataclasses.replace(state, undecided=mask), same
+
+
 def intervals_of(problem: LikelihoodProblem, edge: Levels) -> Intervals | None:
     """Return readings with edges of these widths; None if all are 0."""
     if not edge.any():
@@ -451,3 +336,231 @@ def outlier_weights(
     robust = (counted | (extra > 0.0)) & (weight > 0.0)
     size = np.maximum(np.abs(residual), 1e-300)
     return np.where(robust, np.minimum(1.0, _OUTLIER * deviation / size), 1.0)
+
+
+# A noise level falls to no less than this part in a step (continuation: while torque counts for
+# little, the sum of squares has no other minima near).
+_FALL = 0.25
+# Noise levels go all the way to where residuals would have them in so many steps, then half of it;
+# they are fixed when they change by less than this part in a step, or after so many steps.
+_FREE_LEVEL_STEPS, _LEVEL_TOLERANCE, _MOST_LEVEL_STEPS, _MOST_STEPS_OF_ADDED = 6, 0.05, 14, 40
+# Counts become intervals when a step moves no coefficient by more than this part of its standard
+# error. Where all of them will, the level of torque noise need not be settled: it follows later.
+NEAR = 0.3
+# Beside intervals, edges and the level of torque noise follow so many steps. The level goes all the
+# way, and in later ones half of it.
+_REFINEMENTS, _FREE_REFINEMENTS = 5, 3
+# Readings of an encoder whose noise is less than so many times that of its steps have that.
+_MORE_THAN_STEPS = 1.3
+# Counts are intervals where positions are known better than this part of a step. The width of an
+# edge is so many times the error of positions, for then scores are linear in errors, and at least
+# that of an encoder, in steps. Intervals reduce the error, and their width follows.
+_SHARP, _EDGE, _LEAST_EDGE = 0.1, 2.0, 0.01
+# With less damping than this part of the readings' weights, draws of noise are fitted all the same.
+LITTLE_DAMPING = 1e-2
+
+
+@dataclasses.dataclass(frozen=True)
+class NoiseDraws:
+    """Residuals that a fit of all unknowns leaves of noise of the present levels, one draw of each.
+
+    Errors of readings that are intervals are uniform, and count by their scores.
+
+    **Attributes**
+
+    - `problem`, `state`: with the present levels; `linear`: equations about the present point.
+    - `by_torque`, `by_position`: residuals of torque's noise alone, and of positions' alone.
+    - `position`: (samples, n) the noise of positions that was drawn.
+    """
+
+    problem: LikelihoodProblem
+    state: SearchState
+    linear: Linear
+    by_torque: Residuals
+    by_position: Residuals
+    position: Float[np.ndarray, "samples joints"]
+
+    @classmethod
+    def of(
+        cls, problem: LikelihoodProblem, state: SearchState, minimum: LinearMinimum
+    ) -> "NoiseDraws":
+        """Draw noise and fit it."""
+        linear, part = minimum.linear, problem.readings.part
+        # Damped positions do not follow noise that is drawn: they would seem to be known better
+        # than readings say (a Stäubli TX40 with damping of 1e4: to 0.005 of a step, not 0.28).
+        little = minimum.damping <= LITTLE_DAMPING
+        factored = minimum.factored if little else linear.factored(SMALL_DAMPING)
+        rng = np.random.default_rng(0)
+        counts = linear.weights["torque"] > 0.0
+        normal = np.where(counts, rng.normal(size=counts.shape), 0.0)
+        torque = normal * linear.objective.motion.equations.noise(state.torque_noise)[part[1:-1]]
+        weight = linear.weights["position"]
+        position = rng.normal(size=weight.shape) * state.position_noise[part]
+        intervals = linear.objective.readings.intervals
+        if intervals is not None:
+            counts = intervals.edge > 0.0
+            errors = rng.uniform(-0.5, 0.5, weight.shape) * intervals.step
+            readings = intervals.working(np.where(counts, errors, 0.0), weight)
+            position = np.where(counts, readings.weight * readings.residual / weight, position)
+        drawn = [linear.zeros(torque=torque), linear.zeros(position=position)]
+        steps = linear.steps(factored, drawn)
+        return cls(problem, state, linear, *map(linear.after, steps, drawn), position)
+
+    def levels(self, residuals: Residuals, counted: Mask) -> tuple[Levels, Levels]:
+        """Return the levels at which residuals would be as large as they are, of torque and of
+        positions; none below its least.
+
+        The squares of what is left of both kinds of noise add up, so that the level of torque noise
+        follows from what positions do not explain (a fixed point of the marginal likelihood, whose
+        trace is estimated from one draw; Harville 1977).
+
+        **Arguments**
+
+        - `residuals`: at the minimum; `counted`: equations that count fully.
+        """
+        problem, part = self.problem, self.problem.readings.part
+        torque_noise, position_noise = self.state.torque_noise, self.state.position_noise
+        new_torque, new_position = torque_noise.copy(), position_noise.copy()
+        for index in np.ndindex(*torque_noise.shape):
+            number, joint = index
+            rows = counted[:, joint] & (part[1:-1] == number)
+            if rows.any():
+                square, alone, others = (
+                    np.median(np.abs(x["torque"][rows, joint])) ** 2
+                    for x in (residuals, self.by_torque, self.by_position)
+                )
+                ratio = (square - others) / alone if alone > 0.0 else 0.0
+                new_torque[index] = torque_noise[index] * np.sqrt(np.clip(ratio, _FALL**2, 9.0))
+            rows = problem.moving[:, joint] & (part == number)
+            if rows.any():
+                square, alone, others = (
+                    np.mean(x["position"][rows, joint] ** 2)
+                    for x in (residuals, self.by_position, self.by_torque)
+                )
+                ratio = (square - others) / alone if alone > 0.0 else 1.0
+                new_position[index] = position_noise[index] * np.sqrt(np.clip(ratio, 0.1, 9.0))
+        return (
+            np.maximum(new_torque, problem.least_torque_noise),
+            np.maximum(new_position, problem.least_position_noise),
+        )
+
+    def hidden(self, torque_noise: Levels) -> Levels:
+        """Return the least noise of positions beside torque noise that would hide it.
+
+        Where noise of positions makes less of an equation's error than torque noise does, residuals
+        say little of its level, and a small one is as likely as none; with none, noise of
+        accelerations makes inertias too small. So there the level is at least what readings
+        themselves scatter by. If it is motion that they see, torque noise has made it: little is
+        lost, for that is at the highest frequencies, which say nothing of coefficients.
+        """
+        seen, part = self.problem.scatter, self.problem.readings.part
+        n = seen.shape[1]
+        by_position = self.linear.motion.by_position
+        series = by_position.shape[1]
+        near = by_position.reshape(len(by_position), series, -1, series)[:, :n, :, :n]
+        size = np.sqrt(np.sum(near**2, axis=2))  # of the equation of one joint, by another's noise
+        result = np.zeros_like(seen)
+        for number in range(len(seen)):
+            of_noise = np.median(size[part[1:-1] == number], axis=0)
+            of_noise /= torque_noise[number][:, None]
+            least = 1.0 / np.maximum(np.max(of_noise, axis=0), 1e-300)
+            result[number] = np.minimum(seen[number], least)
+        return result
+
+    def position_errors(self) -> Levels:
+        """Return errors of estimated positions with their offsets, in steps of encoders; infinite
+        where no joint moves, or there are no steps."""
+        part, step = self.problem.readings.part, self.problem.encoder_step
+        of_torque, of_position = self.by_torque["position"], self.by_position["position"]
+        squares = (self.position - of_position) ** 2 + of_torque**2
+        result = np.full(step.shape, np.inf)
+        for index in np.ndindex(*result.shape):
+            number, joint = index
+            rows = self.problem.moving[:, joint] & (part == number)
+            if rows.any():
+                result[index] = np.sqrt(np.mean(squares[rows, joint]))
+        return result / np.where(step > 0.0, step, 1e-300)
+
+
+def with_levels(
+    problem: LikelihoodProblem, state: SearchState, step: LevenbergStep, counted: Mask, number: int
+) -> SearchState:
+    """Let noise levels and weights of outliers follow the residuals of a step."""
+    draws = NoiseDraws.of(problem, state, step.minimum)
+    torque_noise, position_noise = draws.levels(step.residuals, counted)
+    position_noise = np.maximum(position_noise, draws.hidden(torque_noise))
+    if number > _FREE_LEVEL_STEPS:
+        torque_noise = np.sqrt(torque_noise * state.torque_noise)
+        position_noise = np.sqrt(position_noise * state.position_noise)
+    change = max(
+        np.abs(np.log(new / old)).max()
+        for new, old in (
+            (torque_noise, state.torque_noise),
+            (position_noise, state.position_noise),
+        )
+    )
+    modelled = number > len(MARGINS)
+    settled = modelled and bool(change <= _LEVEL_TOLERANCE)
+    if not problem.added:
+        final = settled or number >= _MOST_LEVEL_STEPS
+    else:  # what added blocks let bodies do shows little by little
+        final = (settled and step.change <= NEAR) or number >= _MOST_STEPS_OF_ADDED
+    if modelled and step.change <= NEAR:
+        final |= _all_sharp(problem, draws, position_noise)
+    if final:
+        least = problem.least_position_noise
+        counted_steps = (problem.encoder_step > 0.0) & (position_noise <= _MORE_THAN_STEPS * least)
+        position_noise = np.where(counted_steps, least, position_noise)
+    levelled = dataclasses.replace(state, torque_noise=torque_noise, position_noise=position_noise)
+    return dataclasses.replace(
+        levelled,
+        outlier_weight=outlier_weights(problem, levelled, step, counted),
+        stage=Stage.COUNTS if final else Stage.LEVELS,
+    )
+
+
+def _all_sharp(problem: LikelihoodProblem, draws: NoiseDraws, position_noise: Levels) -> bool:
+    """Return whether positions of all joints that move are known much better than steps."""
+    errors = draws.position_errors()
+    steps = position_noise <= _MORE_THAN_STEPS * problem.least_position_noise
+    return bool(np.all(np.isinf(errors) | (steps & (errors <= _SHARP))))
+
+
+def with_intervals(
+    problem: LikelihoodProblem, state: SearchState, minimum: LinearMinimum
+) -> SearchState:
+    """Make counts intervals, where positions are known much better than a step."""
+    errors = NoiseDraws.of(problem, state, minimum).position_errors()
+    counts = state.position_noise <= problem.least_position_noise
+    edge = np.where(counts & (errors <= _SHARP), np.maximum(_EDGE * errors, _LEAST_EDGE), 0.0)
+    intervals = intervals_of(problem, edge)
+    # What linear equations say of intervals holds near only.
+    damping = state.damping if intervals is None else max(state.damping, DAMPING)
+    stage = Stage.FINAL if intervals is None else Stage.INTERVALS
+    return dataclasses.replace(state, intervals=intervals, stage=stage, damping=damping)
+
+
+def with_refined_intervals(
+    problem: LikelihoodProblem, state: SearchState, step: LevenbergStep, counted: Mask
+) -> SearchState:
+    """Let torque noise and edges follow what intervals leave.
+
+    Single counts hide torque noise far below what they leave of torque. Intervals show it, and with
+    a level that is too large, standard errors would be.
+    """
+    part, intervals = problem.readings.part, state.intervals
+    assert intervals is not None
+    draws = NoiseDraws.of(problem, state, step.minimum)
+    errors = draws.position_errors()
+    torque_noise, _ = draws.levels(step.residuals, counted)
+    if state.refinements >= _FREE_REFINEMENTS:
+        torque_noise = np.sqrt(torque_noise * state.torque_noise)
+    edge = np.clip(_EDGE * errors, _LEAST_EDGE, _EDGE * _SHARP)[part]
+    refinements = state.refinements + 1
+    return dataclasses.replace(
+        state,
+        intervals=dataclasses.replace(intervals, edge=np.where(intervals.edge > 0.0, edge, 0.0)),
+        torque_noise=torque_noise,
+        refinements=refinements,
+        stage=Stage.FINAL if refinements == _REFINEMENTS else Stage.INTERVALS,
+    )

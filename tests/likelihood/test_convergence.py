@@ -14,8 +14,14 @@ from jaxcslc.likelihood._objective import Linear
 from jaxcslc.likelihood._point import Point
 from jaxcslc.likelihood._possible_bodies import Profile
 from jaxcslc.likelihood._problem import LikelihoodProblem, starting_point
-from jaxcslc.likelihood._search import with_common_shafts, with_intervals
-from jaxcslc.likelihood._search_state import SIGN_STEPS, Stage, objective_of, with_signs
+from jaxcslc.likelihood._search_state import (
+    SIGN_STEPS,
+    Stage,
+    objective_of,
+    with_common_shafts,
+    with_intervals,
+    with_signs,
+)
 from tests import arms
 
 
