@@ -113,6 +113,14 @@ REFUSED = {
         ),
         "line 1: more than 3000 bodies; no robot has so many",
     ),
+    "a number as C reads it": (
+        mjcf(f'<replicate count="+5000000 ">{BODY.format("b", "j", "hinge", "")}</replicate>'),
+        "line 1: more than 200000 elements; no robot has so many",
+    ),
+    "a grid of bodies": (
+        mjcf('<flexcomp name="f" type="grid" count="100 100 100" spacing="1 1 1"/>'),
+        "line 1: more than 200000 elements; no robot has so many",
+    ),
     "two parents": (
         urdf(*ARM, link("c"), joint("k", "a", "c"), joint("l", "b", "c")),
         "joint 'l': carries link 'c', which joint 'k' carries too: closed loops",
@@ -311,6 +319,33 @@ def test_included_files_are_beside_their_file(tmp_path: Path, name: str) -> None
     robot = jc.load_robot(path)
     assert robot.kinds == "R"
     assert robot.gravity == (0.0, 0.0, -1.6)
+
+
+INCLUDES = {
+    "itself": (mjcf('<include file="arm.xml"/>'), "line 1: .*arm.xml includes itself"),
+    "itself as a model": (
+        mjcf("", '<asset><model name="a" file="arm.xml"/></asset>'),
+        "line 1: .*arm.xml includes itself",
+    ),
+    "another that includes it": (mjcf('<include file="more.xml"/>'), "arm.xml includes itself"),
+    "many copies of another": (
+        mjcf('<replicate count="2000"><include file="two.xml"/></replicate>'),
+        "two.xml, line 1: more than 3000 bodies",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", INCLUDES)
+def test_included_files_are_as_little_trusted(tmp_path: Path, name: str) -> None:
+    """MuJoCo ends the process at a model that includes itself."""
+    text, message = INCLUDES[name]
+    body = BODY.format("{0}", "j{0}", "hinge", "")
+    two = "".join(body.format(name) for name in "ab")
+    (tmp_path / "arm.xml").write_text(text)
+    (tmp_path / "more.xml").write_text('<mujocoinclude><include file="arm.xml"/></mujocoinclude>')
+    (tmp_path / "two.xml").write_text(f"<mujocoinclude>{two}</mujocoinclude>")
+    with pytest.raises(jc.RobotError, match=message):
+        jc.load_robot(tmp_path / "arm.xml")
 
 
 def test_elements_know_where_they_stand() -> None:

@@ -21,6 +21,7 @@ from ._toml import read_toml
 from ._urdf import (
     XACRO,
     Edit,
+    check_included,
     check_urdf,
     read_xml,
     simplifications,
@@ -129,6 +130,8 @@ def load_robot(
         raise RobotError(
             f"{path}: expected <robot> (URDF) or <mujoco> (MJCF) at the top, got <{root.tag}>"
         )
+    else:
+        check_included(root, path)
     urdf = root.tag == "robot"
     tree = read_bodies(path, urdf=urdf, edits=edits)
     if urdf:  # MuJoCo leaves out the joints that mimic unknown ones

@@ -75,7 +75,7 @@ def parse_xml(text: bytes, where: str) -> Element:
             raise RobotError(f"{line()}: elements nest deeper than {_DEEPEST}; no robot does")
         if count > _MOST_ELEMENTS:
             raise RobotError(f"{line()}: more than {_MOST_ELEMENTS} elements; no robot has so many")
-        bodies += copies[-1] if tag in ("body", "link") else 0
+        bodies += copies[-1] if tag in ("link", *_BODIES) else 0
         if bodies > _MOST_BODIES:
             raise RobotError(f"{line()}: more than {_MOST_BODIES} bodies; no robot has so many")
         for name, value in attributes.items():
@@ -121,9 +121,56 @@ def parse_xml(text: bytes, where: str) -> Element:
 
 
 def _copies(tag: str, attributes: Mapping[str, str]) -> int:
-    """Return the number of copies that an element makes of each of its children."""
-    count = attributes.get("count", "") if tag == "replicate" else ""
-    return max(1, int(count)) if count.isdecimal() and len(count) < 10 else 1
+    """Return the number of copies that an element makes of each of its children, itself included.
+
+    Of bodies that MuJoCo makes in a grid: the size of the grid.
+    """
+    if tag not in ("replicate", "composite", "flexcomp"):
+        return 1
+    # As C reads whole numbers: signs, and what follows the digits is left.
+    counts = [re.match(r"[+-]?\d{1,9}", text) for text in attributes.get("count", "").split()]
+    return max(1, math.prod(int(count[0]) for count in counts if count))
+
+
+def check_included(root: Element, path: Path) -> None:
+    """Check the files that an MJCF file includes or attaches, as parts of it.
+
+    **Raises** `RobotError` as `read_xml` for each of them, for a file that includes itself, and for
+    more elements or bodies in all of them than a robot can have.
+    """
+    elements = bodies = 0
+
+    def visit(element: Element, file: Path, copies: int, around: tuple[Path, ...]) -> None:
+        nonlocal elements, bodies
+        for child in element.children:
+            number = copies * _copies(child.tag, child.attributes)
+            elements += number
+            bodies += number if child.tag in _BODIES else 0
+            for name, count, most in (
+                ("elements", elements, _MOST_ELEMENTS),
+                ("bodies", bodies, _MOST_BODIES),
+            ):
+                if count > most:
+                    raise RobotError(f"{file}, line {child.line}: more than {most} {name}")
+            if child.tag in ("include", "model") and (included := _beside(child, file, path)):
+                if included in around or len(around) > _MOST_INCLUDED:
+                    fault = "includes itself" if included in around else "is one include too deep"
+                    raise RobotError(f"{file}, line {child.line}: {included} {fault}")
+                visit(read_xml(included), included, number, (*around, included))
+            visit(child, file, number, around)
+
+    visit(root, path, 1, (path.resolve(),))
+
+
+_BODIES = ("body", "composite", "flexcomp")
+_MOST_INCLUDED = 16  # files in each other; robots of MuJoCo's menagerie have two
+
+
+def _beside(element: Element, *files: Path) -> Path | None:
+    """Return the file that an element names, next to one of the files; None if there is none."""
+    name = element.attributes.get("file")
+    found = (file.parent / name for file in files) if name else ()
+    return next((path.resolve() for path in found if path.is_file()), None)
 
 
 def _is_moderate(text: str) -> bool:
