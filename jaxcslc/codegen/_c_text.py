@@ -35,7 +35,7 @@ class KernelText:
 
     - `inputs`: what an input or a function's value is in the kernel; None for what statements
       compute.
-    - `functions`: what is called in place of the usual functions, by their names in the graph.
+    - `functions`: what is called instead of the usual functions, by their names in the graph.
     - `constant`: how a number is written.
     """
 
@@ -99,7 +99,7 @@ class KernelText:
     def needed(self, outputs: Iterable[Value], known: Container[int] = ()) -> list[int]:
         """List the operations to compute for the outputs, in order.
 
-        Those that only an input needs, or that are known already, are left out.
+        Except those that only an input needs, or that are known already.
         """
         needed: set[int] = set()
         todo = [output.index for output in outputs]

@@ -10,7 +10,7 @@
 - `_network`, `_recording`: network, recording and patterns of a system.
 - `_constants`: constants that follow from coefficients; `_search`: those that enter nonlinearly.
 - `_noise_correction`, `_smoothing_bias`: bias by measurement noise and by smoothing.
-- `_simulation`: the identified system beside a recording.
+- `_simulation`: the identified system next to a recording.
 - `_identify`, `_report`: identification and its result.
 """
 

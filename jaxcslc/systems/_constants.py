@@ -30,7 +30,7 @@ _SIZES = (1.0, 0.1, 10.0)
 _LEAST_ERROR = 1e-9
 # How far constants may miss coefficients: standard errors, and of exact ones a part of themselves.
 _MISSED_ERRORS, _MISSED_PART = 10.0, 1e-3
-# Random values of constants, but for their signs, and of the motion in SI units.
+# Random values of constants, except their signs, and of the motion in SI units.
 _CONSTANTS, _STATES = (0.5, 1.5), (-2.0, 2.0)
 # Of a complex number: a smaller imaginary part is rounding.
 _REAL = 1e-12
@@ -107,7 +107,7 @@ def independent(system: "System", regressor: Sequence[Sequence[Any]]) -> bool:
     """Return whether the columns of a regressor are independent at random states, numerically.
 
     Columns are functions that exact algebra has made independent, as far as it knows the functions:
-    this is where it is held to it. States where a function is not real are left out.
+    this is where it is held to it. States where a function is not real are excluded.
     """
     size = len(regressor[0])
     draw = np.random.default_rng(0)
@@ -159,7 +159,7 @@ def constants_from(system: "System", fit: Identification) -> tuple[ConstantEstim
 
     The values whose coefficients are nearest to the identified ones, each difference divided by its
     standard error: where there are more coefficients than constants, all of them count. Constants
-    that are determined only in combinations are left out.
+    that are determined only in combinations have no estimate.
 
     **Arguments**
 

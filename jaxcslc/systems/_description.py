@@ -64,7 +64,7 @@ def unit_text(unit: Unit) -> str:
 def unit_product(factors: Sequence[tuple[str, int]]) -> str:
     """Return the unit of a product of quantities, each with its power.
 
-    Angles are numbers: a radian is left out of products.
+    Angles are numbers: a radian is no factor of a product.
     """
     powers: Unit = {}
     for text, power in factors:

@@ -332,7 +332,7 @@ class Generators:
         return total
 
     def _indicator(self, condition: Any) -> Any:
-        """1 where a condition holds and 0 elsewhere, but for single points."""
+        """1 where a condition holds and 0 elsewhere, except at single points."""
         if condition.is_Relational and not isinstance(condition, Eq | Ne):
             difference = condition.gts - condition.lts
             return (1 + self._rewritten(sign(difference))) / 2

@@ -49,8 +49,8 @@ def identify_system(
     - `validation`: a recording to judge the fit on; no coefficient depends on it.
     - `settings`: of preparation and fit; by default those of `system_settings` for the training
       recording.
-    - `noise`: standard deviation of the white noise of columns, by name, 0 for those left out;
-      by default it is estimated from the recording. Its bias and that of smoothing are taken off
+    - `noise`: standard deviation of the white noise of columns, by name, 0 for the others; by
+      default it is estimated from the recording. Its bias and that of smoothing are taken off
       the coefficients, and standard errors follow from it: see `correct_for_noise`. None
       leaves the fit as it is; so do constants that are searched.
     - `progress`: is called with a few words at the start of each step.
@@ -126,7 +126,7 @@ def system_settings(system: System, recording: SystemRecording) -> Settings:
     """Settings with a smoothing that suits a recording of a system.
 
     Averaged splines of the widest spacing that takes next to nothing from the states, each by
-    itself, as `choose_spacing` finds it from how well splines predict samples that they leave out.
+    itself, as `choose_spacing` finds it from how well splines predict held-out samples.
     They are divided where velocities change sign only if an equation contains a sign, as of dry
     friction: without one, accelerations do not jump.
 

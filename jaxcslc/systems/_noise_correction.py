@@ -123,7 +123,7 @@ def correct_for_noise(
     That linear part, draw by draw, is what the noise of this recording did to the coefficients by
     chance: its covariance replaces that of the residuals, which has as many degrees of freedom as
     a short recording has independent stretches. Noise in stretches that are not neighbours moves
-    coefficients independently, so that products of such moves are left out of it: the rest is as
+    coefficients independently, so that products of such moves are excluded: the rest is as
     certain as several times as many draws would make it. Unless noise does not explain the errors
     of the equations (their size, or what they would do to the coefficients, beyond a chance of one
     in a thousand): noise that is not white, or a term that is missing. Then the standard errors of
@@ -140,8 +140,8 @@ def correct_for_noise(
     - `system`: without constants that are searched.
     - `recording`, `patterns`, `settings`, `fit`: the training recording, what `settings` made of
       it, and its fit. Masks and weights remain those of the fit.
-    - `noise`: standard deviation of the white noise of columns, by name, 0 for those left out;
-      by default of `measurement_noise`.
+    - `noise`: standard deviation of the white noise of columns, by name, 0 for the others; by
+      default of `measurement_noise`.
     - `draws`: of simulated noise, for standard errors; fewer where noise makes next to nothing of
       the errors.
     - `pairs`: how many of them are fitted with both signs, for the bias.

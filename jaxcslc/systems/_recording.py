@@ -207,7 +207,7 @@ def system_patterns(
 
     States are smoothed and differentiated as the positions of a robot are, inputs aligned as its
     torques are, by the same objects. Equations with the sign of a variable, as in dry friction,
-    leave out the samples where it is small, by the threshold that a robot's joints have for static
+    exclude the samples where it is small, by the threshold that a robot's joints have for static
     friction; where `sign(x)` is zero nothing is known of it.
 
     **Arguments**

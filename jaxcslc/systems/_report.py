@@ -240,8 +240,8 @@ class SystemReport(AbstractReport[SystemNetwork]):
     - `document`: what the files hold of a report that was loaded; None of others.
     - `errors`: of the equations, by recording: root mean squares of known side less output.
     - `excitation`: of the training recording.
-    - `held_out`: errors of the validation recording beside those of the training recording; without
-      a validation recording by cross-validation.
+    - `held_out`: errors of the validation recording next to those of the training recording;
+      without a validation recording by cross-validation.
     - `warnings`: one sentence each.
     - `search`: of the constants that enter nonlinearly; None without any.
     - `correction`: of the bias of noise and smoothing, already in `fit`; None without noise.

@@ -261,7 +261,7 @@ def separate(system: "System") -> Separation:
     """Separates the equations of a system.
 
     Multiples of an angle are angles of their own, unless functions of them turn out to depend on
-    powers of those of the angle itself, as in `sin(2*x)` beside `sin(x)*cos(x)`: then larger and
+    powers of those of the angle itself, as in `sin(2*x)` next to `sin(x)*cos(x)`: then larger and
     larger multiples are expanded.
 
     **Raises** `DescriptionError` for an equation in which unknown constants enter nonlinearly, and

@@ -29,7 +29,7 @@ _BATCH = 256  # samples that are looked at side by side
 
 @dataclasses.dataclass(frozen=True)
 class Simulation:
-    """The motion of an identified system beside a recording of it.
+    """The motion of an identified system next to a recording of it.
 
     **Attributes**
 
@@ -117,7 +117,7 @@ def simulate_system(
     - `solver`: of `diffrax`; by default `Tsit5`, of fifth order. A stiff system needs an implicit
       one, such as `Kvaerno5`, or more substeps.
 
-    **Returns** the simulated motion beside the recorded one. A simulation that grows beyond all
+    **Returns** the simulated motion next to the recorded one. A simulation that grows beyond all
     bounds holds values that are not finite.
 
     **Raises**

@@ -180,7 +180,7 @@ class System:
     """System whose equations are known and whose constants are not (thesis 8.2.5, C.2).
 
     The five stages of C.2 are its properties and what is done with them: the symbolic form
-    (`equations`), numbers in place of what is known (`numeric`), unknown constants apart from
+    (`equations`), numbers instead of what is known (`numeric`), unknown constants apart from
     known variables (`separation`), the network (`network`), and training (`identify_system`,
     `LeastSquares`, or any rule of `jaxcslc.training` on `jaxcslc.training.linear_combiner`).
 
@@ -341,7 +341,7 @@ class System:
 
     @property
     def column_names(self) -> tuple[str, ...]:
-        """The columns that a recording of the system has beside time."""
+        """The columns that a recording of the system has next to time."""
         names = (
             name
             for variable in self.variables

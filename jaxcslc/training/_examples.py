@@ -341,7 +341,7 @@ def examples(
     - `network`: o outputs.
     - `patterns`: whatever the network's preprocessing takes: (patterns, inputs), or motion.
     - `targets`: (patterns, o), within the range of the network's activation.
-    - `counts`: (patterns, o), False for pairs of pattern and output to leave out (5.2.4, 7.5);
+    - `counts`: (patterns, o), False for pairs of pattern and output that are excluded (5.2.4, 7.5);
       all count if omitted. (subnetworks, patterns, o) for subnetworks that learn from different
       pairs, as friction does in 7.2.2: see `jaxcslc.training.subnetwork_masks`. Costs are then
       of all pairs that count for any subnetwork.
@@ -456,7 +456,7 @@ _BLOCK = 4096
 
 
 def normal_equations(network: AdaptiveNetwork, training_set: Examples) -> NormalEquations:
-    """The normal equations of patterns; pairs that do not count are left out.
+    """Return the normal equations of patterns, of the pairs that count.
 
     Can be jitted, and vmapped over recordings.
 

@@ -25,7 +25,7 @@ from ._rules import AbstractRule, Counts, Numbers, Weights
 def batched_by(
     function: Callable[..., Any], many: Callable[..., Any], mapped_count: int
 ) -> Callable[..., Any]:
-    """A function of one training, with another one in place of its `vmap`, and of that's again.
+    """Give a function of one training another one as its `vmap`, and as the `vmap` of that.
 
     - `many`: of many trainings at once, with an axis of them on its first arguments and on its
       result.
@@ -98,7 +98,7 @@ def summed_change(
 
     A thread takes a training and a part of the patterns. Sums, moduli and portions of a pattern's
     nodes stay in registers; what is read of a pattern serves all trainings, and weights all
-    patterns, so that hardly anything goes through memory.
+    patterns, so that next to nothing goes through memory.
     """
     statements = rule_kernel(network, rule, learning, by_subnetwork=counts.ndim == 3)
 

@@ -44,7 +44,7 @@ class KernelStage:
     **Attributes**
 
     - `terms`: in the order in which to compute them.
-    - `handed_in`: values of earlier stages that it reads in place of computing them again.
+    - `handed_in`: values of earlier stages that it reads instead of computing them again.
     - `handed_on`: values that it stores for later stages, and under which numbers.
     """
 

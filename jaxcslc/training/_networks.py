@@ -178,7 +178,7 @@ def inverse_dynamics(network: CSLC) -> AdaptiveNetwork:
     velocity matrix C (Eqns. 5.1-5, 5.1-6). Mass and velocity share their coefficients. The
     weights are the coefficients `k`, in their order.
 
-    A subnetwork without links, such as the gravity of a robot that lies flat, is left out.
+    There is no subnetwork without links, such as the gravity of a robot that lies flat.
 
     >>> import jax.numpy as jnp, jaxcslc as jc
     >>> from jaxcslc.training import inverse_dynamics
@@ -269,7 +269,7 @@ def subnetwork_masks(
     Static friction, which viscous and Coulomb friction cannot explain, matters at slow pairs. It
     averages out in the mass, velocity and gravity subnetworks, and does not in those of friction.
     So friction learns from the pairs of `patterns.mask`. The other subnetworks also learn from
-    slow pairs. Pairs in possible backlash are left out of all.
+    slow pairs. Pairs in possible backlash are excluded from all.
 
     **Arguments**
 

@@ -277,7 +277,7 @@ class Schedule(eqx.Module):
       after a round of bouts that gained less than `least_reduction` per epoch. Under `vmap`, an
       epoch computes what all rules do; in step, it computes one rule, and bouts of a quick rule
       (backpropagation on `NormalEquations`) cost no more than they do alone.
-    - `switch`: in place of hand-over and bouts, an indicator of which rule is to learn, from the
+    - `switch`: instead of hand-over and bouts, an indicator of which rule is to learn, from the
       first epoch on (8.2.2); `least_reduction` then ends the training once the rule that promises
       most gains too little.
 

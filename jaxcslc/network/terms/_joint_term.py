@@ -234,7 +234,7 @@ class AbstractJointTerm(AbstractInputTerm):
     def _needed(
         self, functions: AbstractFunctions, q: Sequence[Any], qd: Sequence[Any], qdd: Sequence[Any]
     ) -> Sequence[Any]:
-        """Return what the law needs beside motion, one value per joint."""
+        """Return what the law needs in addition to motion, one value per joint."""
 
     @abc.abstractmethod
     def _needed_of_all(self, q: Joints, qd: Joints, qdd: Joints) -> Joints | None:
