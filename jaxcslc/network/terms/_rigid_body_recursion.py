@@ -50,8 +50,8 @@ class RigidBodyRecursion(AbstractRigidBody):
 
     It has two forms. Rolled, links are scanned over, and so are pairs of a link and a joint that
     carries it: compile time is nearly independent of the number of joints, and robots of as many
-    joints share a program. Unrolled, it is straight-line code in which right angles and zero lengths make
-    most operations vanish: some times quicker, and it compiles for longer.
+    joints share a program. Unrolled, it is straight-line code in which right angles and zero
+    lengths make most operations vanish: some times quicker, and it compiles for longer.
 
     **Attributes**
 
