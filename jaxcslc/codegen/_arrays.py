@@ -172,12 +172,6 @@ def _compute_stage(
 
 def _value(xp: Any, operation: Operation, arguments: Sequence[Any]) -> Any:
     match operation.name:
-        case "add":
-            return arguments[0] + arguments[1]
-        case "subtract":
-            return arguments[0] - arguments[1]
-        case "multiply":
-            return arguments[0] * arguments[1]
         case "negate":
             return -arguments[0]
         case "positive":
@@ -185,4 +179,4 @@ def _value(xp: Any, operation: Operation, arguments: Sequence[Any]) -> Any:
         case "negative":
             return xp.minimum(arguments[0], 0.0)
         case name:
-            return getattr(xp, name)(arguments[0])
+            return getattr(xp, name)(*arguments)

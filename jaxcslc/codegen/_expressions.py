@@ -286,20 +286,21 @@ def derivatives(outputs: Sequence[Value], by: Value) -> list[Value]:
         changes = [slopes.get(argument.index, zero) for argument in arguments]
         if index == by.index or all(change.is_zero for change in changes):
             continue
-        if operation.name == "add":
-            slope = changes[0] + changes[1]
-        elif operation.name == "subtract":
-            slope = changes[0] - changes[1]
-        elif operation.name == "multiply":
-            slope = changes[0] * arguments[1] + arguments[0] * changes[1]
-        elif operation.name == "negate":
-            slope = -changes[0]
+        if operation.name in _OF_SUMS:
+            slopes[index] = _OF_SUMS[operation.name](arguments, changes)
         else:
-            slope = _OF_FUNCTIONS[operation.name](arguments[0], Value(graph, index)) * changes[0]
-        slopes[index] = slope
+            slope = _OF_FUNCTIONS[operation.name](arguments[0], Value(graph, index))
+            slopes[index] = slope * changes[0]
     return [slopes.get(output.index, zero) for output in outputs]
 
 
+# Of arguments and their changes.
+_OF_SUMS: dict[str, Callable[[list[Value], list[Value]], Value]] = {
+    "add": lambda x, dx: dx[0] + dx[1],
+    "subtract": lambda x, dx: dx[0] - dx[1],
+    "multiply": lambda x, dx: dx[0] * x[1] + x[0] * dx[1],
+    "negate": lambda x, dx: -dx[0],
+}
 # Of a function's argument and its value.
 _OF_FUNCTIONS: dict[str, Callable[[Value, Value], Value]] = {
     "sin": lambda x, value: x.graph.apply("cos", x),

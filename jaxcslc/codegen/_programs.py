@@ -13,19 +13,9 @@ from ._c_text import block_row, block_text, called_functions
 from ._expressions import Motion, Value
 
 
+# What NumPy has under other names.
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "add": np.add,
-    "subtract": np.subtract,
-    "multiply": np.multiply,
     "negate": np.negative,
-    "cos": np.cos,
-    "sin": np.sin,
-    "exp": np.exp,
-    "tanh": np.tanh,
-    "sqrt": np.sqrt,
-    "reciprocal": np.reciprocal,
-    "fabs": np.fabs,
-    "sign": np.sign,
     "positive": lambda x, result: np.maximum(x, 0.0, out=result),
     "negative": lambda x, result: np.minimum(x, 0.0, out=result),
 }
@@ -113,7 +103,8 @@ class Program:
                 register[index] = unused.pop()
             else:
                 register[index], registers = registers, registers + 1
-            steps.append(_Step(_FUNCTIONS[name], read, register[index]))
+            function = _FUNCTIONS.get(name) or getattr(np, name)
+            steps.append(_Step(function, read, register[index]))
         return cls(
             outputs=len(outputs),
             inputs=tuple(motions[index] for index in inputs),

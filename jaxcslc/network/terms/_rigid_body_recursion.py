@@ -133,29 +133,26 @@ class RigidBodyRecursion(AbstractRigidBody):
     def _column_rows(self, q: Rows, qd: Rows, qdd: Rows) -> Float[Array, "rows samples"]:
         if self.is_unrolled(q, q.shape[::-1]):
             return _unrolled(code(self, "columns"), None, q.T, qd.T, qdd.T)
-        return self._compiled_columns(q, qd, qdd)
+        return self._rolled_entries(False, q, qd, qdd)
 
     @eqx.filter_jit
-    def _compiled_columns(self, q: Any, qd: Any, qdd: Any) -> Float[Array, "rows samples"]:
-        entries = [(joint, index) for joint, row in enumerate(self.support) for index in row]
+    def _rolled_entries(self, dense: bool, *motion: Any) -> Float[Array, "..."]:
+        """Entries of the regressor by joint and coefficient.
 
-        def of_block(*motion: Array) -> Array:
-            return self._gathered(self._unit_torques(*motion), entries)
+        - `dense`: whether all of them, (..., entries), of motion (..., joints). Otherwise those of
+          the support, (entries, samples), of motion (joints, samples).
+        """
+        indices = [range(self.size)] * len(self.joints) if dense else self.support
+        entries = [(joint, index) for joint, row in enumerate(indices) for index in row]
 
-        return in_blocks(of_block, (q, qd, qdd))
+        def of_block(*block: Array) -> Array:
+            rows = self._gathered(self._unit_torques(*block), entries)
+            return rows.T if dense else rows
 
-    @eqx.filter_jit
-    def _rolled_regressor(
-        self, q: Joints, qd: Joints, qdd: Joints
-    ) -> Float[Array, "*batch values"]:
-        entries = list(np.ndindex(len(self.joints), self.size))
-
-        def of_block(*motion: Array) -> Array:
-            return self._gathered(self._unit_torques(*motion), entries).T
-
-        motion = (samples_last(q), samples_last(qd), samples_last(qdd))
-        rows = in_blocks(of_block, motion, samples_first=True)
-        return rows.reshape(*q.shape[:-1], len(entries))
+        if not dense:
+            return in_blocks(of_block, motion)
+        rows = in_blocks(of_block, tuple(map(samples_last, motion)), samples_first=True)
+        return rows.reshape(*motion[0].shape[:-1], len(entries))
 
     def _values(
         self, quantity: str, k: Coefficients | None, *motion: Joints
@@ -165,7 +162,7 @@ class RigidBodyRecursion(AbstractRigidBody):
             rows = _unrolled(code(self, quantity), k, *(x.reshape(-1, x.shape[-1]) for x in motion))
             return rows.T.reshape(*q.shape[:-1], len(rows))
         if k is None:
-            return self._rolled_regressor(*motion)
+            return self._rolled_entries(True, *motion)
         geometry, bodies = self._geometry(q.dtype), self._bodies(k)
         if quantity == "mass_matrix":
             return rolled_mass_matrix(geometry, bodies, q).reshape(*q.shape[:-1], -1)
