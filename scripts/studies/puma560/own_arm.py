@@ -31,7 +31,7 @@ jaxcslc example panda        # a robot file and two logs; or your own
 cd panda
 jaxcslc identify panda.urdf train.csv --validate validation.csv -o results
 jaxcslc export panda.urdf results -o panda_identified.urdf
-jaxcslc excite panda.urdf --prior results --duration 10 -o next.csv"""
+jaxcslc excite panda.urdf --previous results --duration 10 -o next.csv"""
 _IDENTIFY = COMMANDS.splitlines()[2]
 _REPLAYED = 0.5  # s of simulation that is reported
 
@@ -89,7 +89,7 @@ def identify_example(folder: Path, *, quick: bool = False) -> OwnArm:
         jc.load_recording(path, joints=7) for path in (example.train, example.validation)
     )
     report = jc.identify(network, train, validation=held_out, horizon=not quick)
-    report.save(folder / "results", command=_IDENTIFY + " --horizon" * (not quick))
+    report.save(folder / "results", command=_IDENTIFY + " --simulate" * (not quick))
     truth = np.asarray(jc.examples.read_truth(example, network))
     drawing = picture(report, train, held_out, truth)
     (folder / "identify.svg").write_text(drawing, encoding="utf-8")

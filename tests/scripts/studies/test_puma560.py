@@ -22,10 +22,11 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 import sim
+from jaxcslc.cli._example import next_commands
 from scripts.studies.puma560 import experiment
 from scripts.studies.puma560.figures import CAPTIONS
 from scripts.studies.puma560.machines import machines
-from scripts.studies.puma560.own_arm import FOLDER
+from scripts.studies.puma560.own_arm import COMMANDS, FOLDER
 from scripts.studies.puma560.page import EXPERIMENT
 from scripts.studies.puma560.reversals import clean_turn, clearest_ramps
 from scripts.studies.puma560.thresholds import passage
@@ -119,7 +120,7 @@ def test_page_has_every_table_and_figure(demo: Demo) -> None:
 def test_front_page_shows_the_tool_then_the_thesis(demo: Demo) -> None:
     page = (demo.folder / "index.html").read_text(encoding="utf-8")
     page = re.sub("<(script|style).*?</\\1>", "", page, flags=re.DOTALL)
-    headings = re.findall(r"<h2>([^<]+)</h2>", page)
+    headings = re.findall(r"<h2[^>]*>([^<]+)</h2>", page)
     assert headings == [
         "Identify an arm from its files",
         "What comes back",
@@ -136,6 +137,12 @@ def test_front_page_shows_the_tool_then_the_thesis(demo: Demo) -> None:
     assert all((demo.folder / file).is_file() for file in files)
     shown = {row[""]: row for row in demo.rows("errors_b")}["mean ε"]
     assert all(f"{float(shown[model]):.3g}</td>" in page for model in ("Ar+LS", "CSLC", "true"))
+
+
+def test_front_page_shows_commands_that_exist() -> None:
+    """Those that `jaxcslc example` says what to type next."""
+    typed = {line.partition("#")[0].strip() for line in COMMANDS.splitlines()[1:]}
+    assert typed <= set(next_commands(Path("panda"), "panda.urdf"))
 
 
 def test_front_page_counts_the_intervals_of_its_report(demo: Demo) -> None:
