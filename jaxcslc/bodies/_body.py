@@ -163,7 +163,7 @@ def bodies_of(links: Sequence[LinkParameters]) -> Float[np.ndarray, "links 10"]:
 
 
 def constrained(inertia: LinkInertia, link: LinkParameters) -> LinkParameters:
-    """A link with exactly the zeros of its `LinkInertia`, which it has but for rounding."""
+    """A link with exactly the zeros of its `LinkInertia`, which it has except for rounding."""
     zero = [f"r{axis}" in inertia.zero for axis in _AXES]
     centre, tensor = np.where(zero, 0.0, link.centre_of_gravity), np.asarray(link.inertia)
     if inertia.form == "principal":

@@ -113,7 +113,7 @@ def moved_bodies(
 
 
 def other_masses(network: CSLC, parameters: PhysicalParameters) -> tuple[str, ...]:
-    """A sentence about masses that make up for each other far from the file's, or none.
+    """A sentence about masses that compensate each other far from the file's, or none.
 
     Written into a robot's file they surprise: the torque that they give is right, but they are not
     those of the links.

@@ -276,7 +276,7 @@ class Evidence:
         patterns: Patterns,
         columns: HostColumns | None = None,
     ) -> float:
-        """Return the mean logarithm of these errors: the smaller, the better patterns fit."""
+        """Return the mean logarithm of the errors: the smaller, the better patterns fit."""
         errors = (
             self.relative_errors if patterns is self.patterns else self.errors(patterns, columns)
         )

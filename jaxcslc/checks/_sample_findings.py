@@ -202,7 +202,7 @@ class Outliers:
             )
 
     def mended(self, recording: Recording) -> Recording:
-        """Return the recording with medians in place of outliers."""
+        """Return the recording with medians instead of outliers."""
         changed = {
             quantity: np.where(hit, self.medians[quantity], getattr(recording, quantity))
             for quantity, hit in self.marked.items()

@@ -383,7 +383,7 @@ class Planner:
 
 
 def predicted(information: MotionInformation, knowledge: Knowledge, moments: Any) -> Prediction:
-    """Predict standard errors after a motion of these moments."""
+    """Predict standard errors after a motion with the given moments."""
     size, network = information.size, information.network
     prior = prior_information(size, knowledge.information, UNDETERMINED)
     covariance = np.asarray(error_covariance(moments, jnp.asarray(prior))) * np.outer(size, size)

@@ -405,7 +405,7 @@ class MotionInformation(eqx.Module):
         return Moments(normal, spread, flat.T @ flat)
 
     def _weights(self, qd: Float[Any, "samples joints"]) -> Any:
-        """Return weights of pairs: near 0 where a joint hardly moves, near 1 where it moves."""
+        """Return weights of pairs: near 0 where a joint nearly rests, near 1 where it moves."""
         fraction = self.noise.slow_fraction
         if fraction == 0.0:
             return jnp.ones_like(qd)

@@ -93,7 +93,7 @@ class Likelihood(AbstractEstimator):
         return _fit_of(problem, likelihood)
 
     def misfit(self, problem: Problem, fit: Fit, recordings: Sequence[Recording]) -> Misfit:
-        """Return how well a fit agrees with recordings, without a smoothing of these.
+        """Return how well a fit agrees with recordings that are not smoothed.
 
         - `fit`: by this estimator; its noise levels, lag, gains and gears hold.
         """

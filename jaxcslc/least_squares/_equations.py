@@ -100,7 +100,7 @@ class Equations(eqx.Module):
         return cls(unknowns, tuple(rows), tuple(samples))
 
     def without(self, indices: Collection[int]) -> "Equations":
-        """Return the equations with the columns of these coefficients set to zero."""
+        """Return the equations with the columns of the given coefficients set to zero."""
         kept = ([*(i not in indices for i in support), True] for support in self.unknowns.support)
         rows = (rows * np.array(factor) for rows, factor in zip(self.rows, kept, strict=True))
         return Equations(self.unknowns, tuple(rows), self.sample)

@@ -255,7 +255,7 @@ class LeastSquares:
         fold: Int[np.ndarray, " samples"],
         columns: HostColumns | None = None,
     ) -> Float[np.ndarray, "folds coefficients"]:
-        """The coefficients fitted to all folds but one, for each one left out; on the host.
+        """The coefficients fitted to all folds but one, for each held-out fold; on the host.
 
         - `fold`, `columns`: as of `held_out_errors`.
         """
@@ -490,7 +490,7 @@ class WeightedEquations:
 def changes_of(
     stacked: Float[np.ndarray, "rows columns"], size: int
 ) -> Float[np.ndarray, "unknowns further"]:
-    """Return the changes of the first unknowns per unit of each further unknown that is left out.
+    """Return the changes of the first unknowns per unit of each further unknown that is omitted.
 
     - `stacked`: the columns of the unknowns, of the further ones, and the torque.
     """

@@ -267,7 +267,7 @@ def fold_coefficients(
     joint_weights: JointWeights,
     rcond: float | None,
 ) -> Float[np.ndarray, "folds coefficients"]:
-    """Return the coefficients fitted to all folds but one, for each one left out.
+    """Return the coefficients fitted to all folds but one, for each held-out fold.
 
     Triangles of folds stack like the patterns that they stand for, so no pattern is seen again.
 

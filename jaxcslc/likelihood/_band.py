@@ -170,7 +170,7 @@ def add_equations(
     by_position: Float[np.ndarray, "equations joints positions"],
     by_border: JointColumns,
 ) -> None:
-    """Adds the squares of equations of motion to normal equations, but for the border's own.
+    """Adds the squares of equations of motion to normal equations, except the border's own.
 
     **Arguments**
 

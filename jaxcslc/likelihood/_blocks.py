@@ -332,7 +332,7 @@ class MotionDerivatives(AbstractDerivatives):
 
 @dataclasses.dataclass(frozen=True)
 class RestBlock(ConstantBlock):
-    """Joints at rest, which hardly move from sample to sample."""
+    """Joints at rest, which move little from sample to sample."""
 
     weight: Float[np.ndarray, "intervals joints"]
 

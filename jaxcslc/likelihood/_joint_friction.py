@@ -66,7 +66,7 @@ class JointMotion(NamedTuple):
 
     @property
     def stencil(self) -> Float[np.ndarray, "3 3 equations"]:
-        """Derivatives of these three by the positions at three samples."""
+        """Derivatives of the three by the positions at three samples."""
         (before, after), zero = self.h, np.zeros(self.h.shape[1])
         first, last = 1.0 / (before * (before + after)), 1.0 / (after * (before + after))
         return np.array(

@@ -225,7 +225,7 @@ class MaximumLikelihood:
         torque_noise: Float[np.ndarray, " joints"],
         position_noise: Float[np.ndarray, " joints"],
     ) -> Misfit:
-        """Return how well coefficients agree with recordings, without a smoothing of these.
+        """Return how well coefficients agree with recordings that are not smoothed.
 
         Torque errors of smoothed motion are least for coefficients that make up for what smoothing
         does: true ones lose. Here positions are estimated, for coefficients, slopes and noise

@@ -61,7 +61,7 @@ class Objective:
         return any(block.bent for block in self.blocks.values())
 
     def with_blocks(self, **blocks: AbstractResidualBlock) -> "Objective":
-        """Return the sum with other blocks of these names."""
+        """Return the sum with the blocks of the given names replaced."""
         return dataclasses.replace(self, blocks={**self.blocks, **blocks})
 
     def residuals(self, point: Point) -> Residuals:

@@ -115,7 +115,7 @@ class PreSlidingEquations(AbstractEquations):
     def about(
         self, q: Samples, time: Float[np.ndarray, " samples"], part: Int[np.ndarray, " samples"]
     ) -> "PreSlidingEquations":
-        """Return them with states of these positions."""
+        """Return them with the states of the given positions."""
         return self.of(self.base, self.distances, q, time, part)
 
     def truncation(

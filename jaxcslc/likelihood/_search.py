@@ -244,7 +244,7 @@ def _followed(
 def _settled(
     state: SearchState, step: LevenbergStep, objective: Objective, rises: int
 ) -> SearchState:
-    """Fix what follows the motion, at the end and where it goes to and fro."""
+    """Fix what follows the motion, at the end and where it alternates."""
     to_and_fro = rises >= _MOST_RISES
     if (state.stage is Stage.FINAL and step.change <= _FIXED) or to_and_fro:
         state = dataclasses.replace(state, of_friction=state.of_friction or state.point)

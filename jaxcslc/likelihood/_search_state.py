@@ -201,7 +201,7 @@ def with_common_shafts(
 
 
 def intervals_of(problem: LikelihoodProblem, edge: Levels) -> Intervals | None:
-    """Return readings with edges of these widths; None if all are 0."""
+    """Return readings with edges of the given widths; None if all are 0."""
     if not edge.any():
         return None
     part = problem.readings.part

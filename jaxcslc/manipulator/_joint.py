@@ -187,7 +187,7 @@ def unused_lengths(values: Mapping[str, float], joints: Iterable[Joint], where: 
 
 
 def parsed_joint(entries: Mapping[str, Any], lengths: dict[str, float], where: str) -> Joint:
-    """Return the joint of a row's entries: kind, parent, and parameters, zero where left out.
+    """Return the joint of a row's entries: kind, parent, and parameters, zero where omitted.
 
     **Raises** `RobotError`, naming the entry that is wrong.
     """

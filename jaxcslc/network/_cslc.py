@@ -125,12 +125,12 @@ class CSLC(AbstractLinearNetwork):
 
     @property
     def joint_limits(self) -> tuple[JointLimits, ...]:
-        """Limits of each of these joints according to the robot's file."""
+        """Limits of each of the joints according to the robot's file."""
         return self._of_independent(self.robot.joint_limits)
 
     @property
     def friction_per_joint(self) -> tuple[tuple[str, ...], ...]:
-        """The friction terms of each of these joints."""
+        """The friction terms of each of the joints."""
         return self._of_independent(self.robot.friction_per_joint)
 
     @property

@@ -313,7 +313,7 @@ class Preparation:
         return patterns
 
     def speed_thresholds(self, qd: Signals) -> Float[np.ndarray, " thresholds"]:
-        """Return the speed of each joint below which its samples are left out [rad/s or m/s].
+        """Return the speed of each joint below which its samples are excluded [rad/s or m/s].
 
         **Arguments**
 

@@ -295,7 +295,7 @@ def _kinds(candidate: str) -> tuple[str, ...]:
 
 
 def _with_kind(kinds: Sequence[str], candidate: str) -> tuple[str, ...]:
-    """A joint's friction with a candidate, in place of what this has in it."""
+    """A joint's friction with a candidate, which replaces what it has in it."""
     more = _kinds(candidate)
     replaced = [_REPLACES.get(kind) for kind in more]
     return (*(kind for kind in kinds if kind not in replaced), *more)

@@ -137,7 +137,7 @@ class SmoothingBias:
         return again
 
     def solution(self, motion: Motion) -> Float[np.ndarray, " coefficients"]:
-        """Return the coefficients that fit another motion of these samples."""
+        """Return the coefficients that fit another motion of the samples."""
         patterns = with_motion(self.system.network, self.patterns, motion)
         equations = self.settings.solver.equations(self.system.network, patterns)
         return self.problem.solution(equations).k

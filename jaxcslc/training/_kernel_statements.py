@@ -148,7 +148,7 @@ class _Work:
             del parts[j]
 
     def handed(self, terms: Sequence[Term], available: set[int]) -> list[int]:
-        """Values that are available, in place of which the terms would cost most."""
+        """Values that are available, which the terms would cost most to replace."""
         handed: list[int] = []
         while True:
             computed = self.computed((term.value.index for term in terms), handed)

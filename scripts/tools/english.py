@@ -6,10 +6,12 @@
 The rules are those of plain technical English. A sentence of a guide has at most 30 words, and
 the mean of a page is at most 17. Phrases that a reader has to translate have a better one, which
 the message names. A guide has no dates and no studies: they belong on evidence pages, which are
-checked for phrases alone.
+checked for phrases alone. Of `jaxcslc`, the first sentences of docstrings and the errors that are
+raised are checked for the worst phrases.
 """
 
 import argparse
+import ast
 import re
 import sys
 from collections.abc import Iterator
@@ -57,6 +59,11 @@ PHRASES: dict[str, str] = {
     r"\bto and fro\b": "back and forth, alternates",
     r"\bgo(?:es)? astray\b": "fails",
 }
+# Of first sentences of docstrings, and of errors.
+_IN_CODE = re.compile(
+    r"\b(?:left out|in place of|but for|as ever|to and fro|makes? up for|hardly|goes? astray"
+    r"|of these)\b"
+)
 # What a page of figures has, and a guide has not.
 _EVIDENCE_SIGN = re.compile(r"\b20\d\d-[01]\d-[0-3]\d\b|scripts[./]studies\b")
 # Pages on the simulator and on training may name the studies that they belong to.
@@ -154,6 +161,24 @@ def findings(page: Path) -> list[Finding]:
     return found
 
 
+def code_findings(module: Path) -> list[Finding]:
+    """What the rules find in docstrings and errors of a module."""
+    texts: list[tuple[int, str]] = []
+    for node in ast.walk(ast.parse(module.read_text("utf-8"))):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            text = (ast.get_docstring(node) or "").partition("\n\n")[0]
+            if first := sentences(" ".join(text.split()))[:1]:
+                texts.append((node.body[0].lineno, first[0]))
+        elif isinstance(node, ast.Raise) and node.exc is not None:
+            parts = (part for part in ast.walk(node.exc) if isinstance(part, ast.Constant))
+            texts += [(part.lineno, part.value) for part in parts if isinstance(part.value, str)]
+    return [
+        Finding(module, line, f"'{match.group(0)}' in: {text}")
+        for line, text in texts
+        if (match := _IN_CODE.search(text))
+    ]
+
+
 def pages() -> list[Path]:
     """Pages that people write."""
     docs = (path for path in (ROOT / "docs").glob("*.md") if path.name not in GENERATED)
@@ -166,6 +191,9 @@ def main() -> None:
     arguments = parser.parse_args()
     chosen = [path.resolve() for path in arguments.pages] or pages()
     found = [finding for page in chosen for finding in findings(page)]
+    if not arguments.pages:
+        modules = sorted((ROOT / "jaxcslc").rglob("*.py"))
+        found += [finding for module in modules for finding in code_findings(module)]
     print(*found, sep="\n")
     for page in arguments.pages:
         counts = lengths(page.read_text("utf-8"))

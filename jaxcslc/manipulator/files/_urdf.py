@@ -298,7 +298,7 @@ def urdf_mimics(root: Element, path: Path) -> list[Mimic]:
 
 
 def urdf_limits(root: Element) -> dict[str, JointLimits]:
-    """The limits of a URDF's joints, by name; numbers that are none are left out.
+    """The limits of a URDF's joints, by name, without numbers that are none.
 
     Lower and upper limits of zero, as some exporters write for joints without limits, are none.
     """
@@ -349,7 +349,7 @@ _FLOATING = ("floating", "planar")
 
 
 class Edit(NamedTuple):
-    """Part of a URDF that is left out before it is read, with a note for the user.
+    """Part of a URDF that is omitted before it is read, with a note for the user.
 
     **Attributes**
 

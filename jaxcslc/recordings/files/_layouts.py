@@ -136,7 +136,7 @@ class _NamedColumn(NamedTuple):
 
 
 def _named_columns(header: Header) -> list[_NamedColumn]:
-    """Parse the names of columns; those that do not begin with a quantity's name are left out."""
+    """Parse the names of columns; those that do not begin with a quantity's name are ignored."""
     columns: list[_NamedColumn] = []
     for name in header.names:
         parts = _COLUMN.fullmatch(name)

@@ -469,7 +469,7 @@ def _data_of(lines: bytes, delimiter: str) -> bytes:
 
 
 def _faulty_cell(path: Path, header: _CsvHeader, names: Sequence[str]) -> RecordingError | None:
-    """Look for the first row of a wrong length, or cell of these columns that is no number."""
+    """Look for the first row of a wrong length, or cell of the columns that is no number."""
     try:
         for number, (line, cells) in enumerate(_csv_rows(path, header), start=1):
             where = f"{path}: row {number} (line {line})"

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from scripts.tools.english import findings, lengths, paragraphs, sentences, words
+from scripts.tools.english import code_findings, findings, lengths, paragraphs, sentences, words
 
 
 def test_prose_is_told_from_code_tables_and_headings() -> None:
@@ -39,3 +39,16 @@ def test_good_text_has_no_findings(tmp_path: Path) -> None:
     page.write_text("The error is small.\n\nε is the mean error.\n", encoding="utf-8")
     assert findings(page) == []
     assert lengths(page.read_text("utf-8")) == [4, 4]
+
+
+def test_first_sentences_and_errors_of_code(tmp_path: Path) -> None:
+    module = tmp_path / "module.py"
+    module.write_text(
+        'def f(x):\n    """Uses a in place of b.\n\n    Hardly any."""\n'
+        '    raise ValueError(f"{x}: but for this")\n'
+        '    return "hardly"\n'
+    )
+    assert [(found.line, found.problem[:10]) for found in code_findings(module)] == [
+        (2, "'in place "),
+        (5, "'but for' "),
+    ]
