@@ -1,5 +1,6 @@
 """Help of the command: groups of options, old names, defaults, errors of usage, completion."""
 
+import json
 import shutil
 import subprocess
 from pathlib import Path
@@ -105,9 +106,42 @@ def test_options_are_checked_before_files_are_read() -> None:
     for robot in ("puma560", "none.urdf"):
         line = run("identify", robot, "none.csv", "--friction", "sticky").stderr
         assert line.startswith("jaxcslc: --friction: unknown friction term 'sticky'")
-        assert line.endswith("(docs/robots.md)\n")
+        assert line.endswith("(docs/friction.md)\n")
     line = run("identify", "none.urdf", "none.csv", "--friction", "coulomb").stderr
     assert line.startswith("jaxcslc: none.urdf: no such")  # Coulomb friction is `dry`
+
+
+def test_errors_name_the_page_of_what_they_are_about(tmp_path: Path) -> None:
+    """One line each, by the module that found it; without one, the command's own page."""
+    (tmp_path / "odd.csv").write_text("a,b\n1,2\n")
+    (tmp_path / "limits.toml").write_text("joint = 1")
+    pages = {
+        ("check", "panda", "none.csv"): "recordings",
+        ("check", "none.urdf", "none.csv"): "robots",
+        ("check", "panda", str(tmp_path / "odd.csv")): "recordings",
+        ("identify", "panda", "none.csv", "--settings", "none.json"): "recordings",
+        ("excite", "panda", "--limits", str(tmp_path / "limits.toml")): "excitation",
+        ("export", "panda", "none"): "report",
+        ("example", "panda", "-o", str(tmp_path)): "tutorial",
+        ("check", "panda", "a.csv", "a.csv", "--mimic", "fix"): "checks",
+    }
+    for words, page in pages.items():
+        result = run(*words)
+        assert result.exit_code == 2 and len(result.stderr.splitlines()) == 1
+        assert result.stderr.endswith(f" (docs/{page}.md)\n"), words
+
+
+def test_results_are_json_or_nothing(tmp_path: Path) -> None:
+    example = run("example", "ur5", "-o", tmp_path / "ur5", "--json")
+    assert len(json.loads(example.stdout)["files"]) == 4
+    derived = json.loads(run("derive", "puma560", "--json").stdout)
+    assert (derived["files"], len(derived["coefficients"])) == ([], 43)
+    log = tmp_path / "ur5" / "train.csv"
+    checked = json.loads(run("check", tmp_path / "ur5" / "ur5.urdf", log, "--json").stdout)
+    assert checked["findings"] == [] and len(checked["recordings"][0]["joints"]) == 6
+    assert run("derive", "puma560", "-q").output == ""
+    quiet = run("check", "panda", "none.csv", "--quiet")
+    assert quiet.stdout == "" and "none.csv" in quiet.stderr
 
 
 def test_options_of_before_are_understood() -> None:

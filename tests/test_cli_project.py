@@ -81,6 +81,10 @@ def test_init_decides_and_commands_need_no_more(folder: Path) -> None:
     }
     clean = run("check", "log.csv")
     assert clean.exit_code == 0 and "nothing looks wrong" in clean.output
+    assert clean.output.startswith(
+        "jaxcslc.toml makes this: jaxcslc check arm.urdf log.csv --fix grip"
+        " --friction viscous,dry --columns 'jaxcslc.toml#columns'\n"
+    )
     identified = run("identify", "log.csv", "--no-systematic", "-o", "results")
     assert identified.exit_code == 0, identified.output
     page = Path("results/index.html").read_text("utf-8")

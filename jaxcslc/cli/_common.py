@@ -17,7 +17,7 @@ from .._scratch import check_output_folder
 from ._errors import one_line_errors
 from ._help import ALL, help_text
 from ._options import Parameter, UsageError, Values, assign, option, parameters_of, parse
-from ._project import Project
+from ._project import FILE, Project
 
 
 # What commands on systems that are not robots take.
@@ -85,6 +85,7 @@ class Context:
     - `parameters`: that it has; `values`: of all of them.
     - `typed`: names of those on the command line.
     - `stated`: and of those that `jaxcslc.toml` states.
+    - `project`: whether that file states anything for it.
     """
 
     name: str
@@ -92,6 +93,7 @@ class Context:
     values: Mapping[str, Any]
     typed: frozenset[str]
     stated: frozenset[str]
+    project: bool
 
     @property
     def output(self) -> OutputOptions:
@@ -208,6 +210,8 @@ class Command:
                 return 0
             context = self.context(words)
             output = self.function(context, **self._arguments(context.values))
+            if context.project and not (context.output.json or context.output.quiet):
+                print(f"{FILE} makes this: {context.text()}\n")
             output.print(context.output)
             return output.status
         return status[0]
@@ -221,17 +225,20 @@ class Command:
         """
         parameters = self.parameters
         typed, others = parse(self.name, parameters, words)
+        count = len(others)
         names = {parameter.name for parameter in parameters}
         stated: Values = {}
         if "robot" in names:
             stated, others = Project.here().applied(others)
+        project = len(others) > count or bool(stated)
         typed |= assign(parameters, others)
         stated = {name: stated[name] for name in stated.keys() & names - typed.keys()}
         values = {some.name: some.default for some in parameters} | stated | typed
         for parameter in parameters:
             if parameter.required and parameter.name not in stated | typed:
                 raise UsageError(f"missing {parameter.shown_name} {parameter.metavar}")
-        return Context(self.name, parameters, values, frozenset(typed), frozenset(stated))
+        names = frozenset(typed), frozenset(stated)
+        return Context(self.name, parameters, values, *names, project)
 
     def _arguments(self, values: Mapping[str, Any]) -> Values:
         """Return the function's arguments, with dataclasses made of their fields."""

@@ -10,7 +10,7 @@ from ._help import page_address
 from ._options import UsageError
 
 
-# The page that explains errors of a package, and what its functions are asked for.
+# The page that explains errors of a package, or of one of its modules.
 PAGES: Mapping[str, str] = {
     "bodies": "uncertainty",
     "checks": "checks",
@@ -19,9 +19,11 @@ PAGES: Mapping[str, str] = {
     "export": "export",
     "friction": "friction",
     "identification": "choose",
+    "identification._torque_constants": "recordings",
     "least_squares": "settings",
     "likelihood": "likelihood",
     "manipulator": "robots",
+    "manipulator._friction": "friction",
     "network": "robots",
     "payload": "payload",
     "recordings": "recordings",
@@ -63,12 +65,11 @@ def one_line_errors(name: str = "", page: str = "command") -> Generator[list[int
 
 
 def _page_of(trace: TracebackType | None) -> str | None:
-    """Return the page of the package that raised an error; None of errors of a command itself."""
-    package = ""
+    """Return the page of the module that raised an error; None of errors of a command itself."""
+    module = ""
     while trace is not None:
         top, _, below = trace.tb_frame.f_globals.get("__name__", "").partition(".")
-        folder, _, module = below.partition(".")
-        if top == "jaxcslc" and module:  # not of a helper of all packages
-            package = folder
+        if top == "jaxcslc" and "." in below:  # not of a helper of all packages
+            module = below
         trace = trace.tb_next
-    return PAGES.get(package)
+    return PAGES.get(module, PAGES.get(module.partition(".")[0]))

@@ -35,7 +35,7 @@ from ._inputs import (
     is_system,
     recordings_of,
 )
-from ._options import argument, option
+from ._options import UsageError, argument, option
 
 
 if TYPE_CHECKING:
@@ -177,6 +177,14 @@ class IdentifyOptions:
         bool, option(group="cluster", help="With --dask: treat every file as a different robot.")
     ] = False
 
+    def __post_init__(self) -> None:
+        if (self.reidentify is None) != (self.previous is None):
+            raise UsageError(
+                "--reidentify and --previous: got one of them; expected both or neither"
+            )
+        if self.fleet and self.dask is None:
+            raise UsageError("--fleet: only with --dask")
+
 
 # Fits of a fleet that are printed; all are in the file.
 _PRINTED = 20
@@ -211,7 +219,7 @@ def identify_command(
     known = _estimator(options) == "least-squares"  # the time that it takes
     with context.progress("reading", estimated=known) as step, processes_beside():
         context.check_output(options.output, replaced_files(options.output))
-        if options.dask is not None or options.fleet:
+        if options.dask is not None:
             _check_cluster_options(context, robot, options)
             arm = part.read(robot)
             network = drives.network(arm, options.lengths)
@@ -276,8 +284,6 @@ def _identified(
 
 def _check_cluster_options(context: Context, robot: str, options: IdentifyOptions) -> None:
     """**Raises** `ValueError` for what there is not on a cluster."""
-    if options.dask is None:
-        raise ValueError("--fleet: only with --dask")
     if is_system(robot):
         raise ValueError("--dask: expected a robot; other systems are identified in one process")
     if others := sorted(context.typed - _OF_CLUSTER):

@@ -172,6 +172,8 @@ OPTIONS = (
     *("--columns", "--between", "--every", "--period", "--drop-stale", "--despike", "--loss"),
     *("--torque-lag", "--folds", "--validate", "--offsets", "--reidentify", "--previous", "--c"),
     *("--unloaded", "--mass", "--overwrite", "--help", "--version", "--nonsense"),
+    *("--json", "--quiet", "--quality", "--physical", "--decimate", "--parameters", "--target"),
+    *("--ml-spacing", "--torque", "--help-all", "--recorded", "--simulate"),
     *("--memory", "--possible", "--prior", "--no-motors", "--measured", "--no-check"),
     *("--mimic", "--estimator", "--dask", "--fleet", "--horizon", "--systematic", "--limits"),
     *("--duration", "--rate", "--family", "--for", "--criterion", "--after", "--reach", "--seed"),
