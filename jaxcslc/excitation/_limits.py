@@ -39,7 +39,7 @@ class Surroundings:
     - `workspace`: corners (low, high) of a box in the base frame that no body leaves [m].
     - `boxes`: obstacles as (centre, full size), `spheres` as (centre, radius) [m].
     - `radius`: of a capsule along each link [m]. With None, the file's shapes count, and only links
-      without any have capsules, of 5 % of the arm's length.
+      without any have capsules, of 5.5 % of the arm's length.
     - `ignore`: pairs of bodies' names that may touch.
 
     >>> import jaxcslc as jc

@@ -18,13 +18,13 @@ from ..manipulator import Manipulator, link_poses
 from ._limits import Surroundings
 
 
-# Radius of capsules over the length of the arm. Panda and UR5 have 60 mm at 1.2 m.
-_SLENDERNESS = 0.05
+# Radius of capsules over the length of the arm from its first joint: Panda 48 mm, UR5 64 mm, PUMA
+# 560 62 mm. With the clearance, their own bodies are within it but for elbows and hands.
+_SLENDERNESS = 0.055
 _SAME_PLACE = 1e-6  # [m]
 _THICK = 1.0  # of walls and floors [m]
 _WIDE = 20.0
 _POSES = 100  # random poses, for what is so by design
-_LISTED = 6  # names in a sentence
 
 _MESH = re.compile(r"""(<mesh\b[^>]*?\bfilename\s*=\s*)(["'])(.*?)\2""")
 _COLLISION = re.compile(r"<collision\b.*?</collision\s*>", re.DOTALL)
@@ -32,6 +32,11 @@ _VISUAL = re.compile(r"<visual\b.*?</visual\s*>|<visual\b[^>]*/>", re.DOTALL)
 _ROOT = re.compile(r"<robot\b[^>]*>")
 _COMPILER = (
     '<mujoco><compiler strippath="false" fusestatic="false" discardvisual="false"/></mujoco>'
+)
+# What would hinder compiling, and moves no body.
+_UNNEEDED = (
+    *("equalities", "actuators", "sensors", "keys", "excludes", "pairs", "tendons", "tuples"),
+    *("skins", "flexes"),
 )
 _READ = (".stl", ".obj", ".msh")
 
@@ -65,21 +70,24 @@ def compiled_geometry(robot: Manipulator, surroundings: Surroundings) -> Geometr
     - `MissingExtraError`: without MuJoCo.
     """
     mujoco: Any = require("mujoco", "urdf")
-    source, notes = robot.source, list[str]()
+    source = robot.source
     of_file = source is not None and source.format != "toml" and surroundings.radius is None
+    notes: list[str] = []
+    spec: Any = None
+    model: Any = None
+    names: Sequence[str] = [f"joint {i + 1}" for i in range(robot.joint_count)]
+    placements: Sequence[np.ndarray] = [np.eye(4)] * robot.joint_count
     if source is not None and of_file:
-        spec, notes = _spec_of_file(Path(source.path), source.format == "urdf")
-        names: Sequence[str] = source.joints
-        placements: Sequence[np.ndarray] = source.placements
-    else:
+        try:
+            spec = _spec_of_file(Path(source.path), source.format == "urdf", notes)
+            model = _compiled(spec)
+            names, placements = source.joints, source.placements
+        except ValueError as error:
+            text = " ".join(str(error).split()).removeprefix("Error: ")
+            notes = [f"shapes of the robot's file cannot be read: {text}"]
+    if model is None:
         spec = _spec_of_rows(mujoco, robot)
-        names = [f"joint {i + 1}" for i in range(robot.joint_count)]
-        placements = [np.eye(4)] * robot.joint_count
-    for body in spec.bodies[1:]:
-        # Masses do not matter here, and MuJoCo compiles no moving body without.
-        body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
-        body.ipos, body.fullinertia = np.zeros(3), [np.nan, 0, 0, 0, 0, 0]
-    model = _compiled(spec, robot)
+        model = _compiled(spec)
     joints = np.array([int(model.joint(name).id) for name in names], int)
     base = _base(mujoco, model, joints)
     floor, hanging, words = surroundings.floor, False, ""
@@ -97,7 +105,7 @@ def compiled_geometry(robot: Manipulator, surroundings: Surroundings) -> Geometr
     radii = skeleton.radii(surroundings.radius)
     notes += skeleton.add_capsules(spec, radii)
     _add_obstacles(spec, surroundings, floor, hanging=hanging)
-    return Geometry(_compiled(spec, robot), joints, words, tuple(notes))
+    return Geometry(_compiled(spec), joints, words, tuple(notes))
 
 
 def random_poses(model: Any, joints: np.ndarray) -> Float[np.ndarray, "poses joints"]:
@@ -108,43 +116,41 @@ def random_poses(model: Any, joints: np.ndarray) -> Float[np.ndarray, "poses joi
     return np.random.default_rng(0).uniform(low, high, (_POSES, len(joints)))
 
 
-def _compiled(spec: Any, robot: Manipulator) -> Any:
-    try:
-        return spec.compile()
-    except ValueError as error:
-        text = " ".join(str(error).split()).removeprefix("Error: ")
-        raise ValueError(f"surroundings: shapes of {robot.name!r}: {text}") from None
+def _compiled(spec: Any) -> Any:
+    for body in spec.bodies[1:]:
+        # Masses do not matter here, and MuJoCo compiles no moving body without.
+        body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
+        body.ipos, body.fullinertia = np.zeros(3), [np.nan, 0, 0, 0, 0, 0]
+    return spec.compile()
 
 
 def _collides(geom: Any) -> bool:
     return bool(geom.contype or geom.conaffinity)
 
 
-def _spec_of_file(path: Path, urdf: bool) -> tuple[Any, list[str]]:
-    """Return a file's shapes for collisions, and notes on those that cannot be read."""
+def _spec_of_file(path: Path, urdf: bool, notes: list[str]) -> Any:
+    """Return a file's shapes for collisions, and add notes on those that cannot be read."""
     mujoco: Any = require("mujoco", "urdf")
-    notes: list[str] = []
-    try:
-        if not urdf:
-            spec = mujoco.MjSpec.from_file(str(path))
-            for geom in list(spec.geoms):
-                if not _collides(geom):
-                    spec.delete(geom)
-        else:
-            text = _VISUAL.sub("", path.read_text(encoding="utf-8"))
-            text = _COLLISION.sub(lambda match: _readable(match[0], path, notes), text)
-            text = _ROOT.sub(lambda match: match[0] + _COMPILER, text, count=1)
-            spec = mujoco.MjSpec.from_string(text)
-    except ValueError as error:
-        text = " ".join(str(error).split()).removeprefix("Error: ")
-        raise ValueError(f"surroundings: shapes of {path}: {text}") from None
-    for elements in (spec.equalities, spec.actuators, spec.sensors, spec.keys, spec.excludes):
-        for element in list(elements):
+    if urdf:
+        unread: dict[str, list[str]] = {}
+        text = _VISUAL.sub("", path.read_text(encoding="utf-8"))
+        text = _COLLISION.sub(lambda match: _readable(match[0], path, unread), text)
+        spec = mujoco.MjSpec.from_string(_ROOT.sub(lambda x: x[0] + _COMPILER, text, count=1))
+        for why, meshes in unread.items():
+            distinct = list(dict.fromkeys(meshes))
+            notes.append(f"meshes that {why}: {listed(distinct, most=2)}")
+    else:
+        spec = mujoco.MjSpec.from_file(str(path))
+        for geom in list(spec.geoms):
+            if not _collides(geom):
+                spec.delete(geom)
+    for kind in _UNNEEDED:
+        for element in list(getattr(spec, kind)):
             spec.delete(element)
-    return spec, notes
+    return spec
 
 
-def _readable(shape: str, urdf: Path, notes: list[str]) -> str:
+def _readable(shape: str, urdf: Path, unread: dict[str, list[str]]) -> str:
     """Return a URDF's shape with the path of its mesh, or nothing where that cannot be read.
 
     Packages of ROS are looked for in folders above the URDF.
@@ -161,10 +167,11 @@ def _readable(shape: str, urdf: Path, notes: list[str]) -> str:
             candidates += [folder / relative, folder / without_package]
     file = next((path for path in candidates if path.is_file()), None)
     if file is None:
-        notes.append(f"mesh {name!r} was not found in a folder above the URDF")
+        unread.setdefault("were not found in a folder above the URDF", []).append(name)
         return ""
     if file.suffix.lower() not in _READ:
-        notes.append(f"mesh {file.name!r} cannot be read (only {', '.join(_READ)})")
+        why = f"cannot be read (only {', '.join(_READ)})"
+        unread.setdefault(why, []).append(file.name)
         return ""
     return _MESH.sub(lambda _: f"{match[1]}{match[2]}{file.resolve()}{match[2]}", shape)
 
@@ -232,7 +239,7 @@ class _Skeleton(NamedTuple):
     - `lines`: of each body without shapes, by the number of the joint that moves it, pairs of
       points (start, end) in space [m].
     - `column`: such lines of a base without shapes, from the floor to the first joints.
-    - `length`: of the arm, from the base along its joints [m].
+    - `length`: of the arm, from the first joint to the last [m].
     """
 
     data: Any
@@ -264,8 +271,8 @@ class _Skeleton(NamedTuple):
         for i, (joint, body) in enumerate(zip(joints, moved, strict=True)):
             start, before = anchors[joint], last.get(int(carriers[joint]))
             foot = np.array([*start[:2], start[2] if floor is None else floor])
-            origin = foot if before is None else anchors[joints[before]]
-            reach[i] = np.linalg.norm(start - origin) + (0.0 if before is None else reach[before])
+            if before is not None:
+                reach[i] = reach[before] + np.linalg.norm(start - anchors[joints[before]])
             if before is None and 0 not in shaped and np.any(foot != start):
                 column.append((foot, start))
             if body in shaped or last[body] != i:
@@ -322,10 +329,10 @@ class _Skeleton(NamedTuple):
         return [f"capsules of {sizes} mm radius stand for {which}, for which there are no shapes"]
 
 
-def listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str], most: int = 6) -> str:
     """Return names in a row, the first few of many."""
-    more = len(names) - _LISTED
-    return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def _add_obstacles(

@@ -100,11 +100,11 @@ def test_a_design_keeps_its_distance(arm: jc.Manipulator) -> None:
 
 
 def test_robots_without_shapes_have_capsules(arm: jc.Manipulator) -> None:
-    """Links of half a metre, and the usual twentieth of it as radius."""
+    """A link of half a metre, and the usual part of it as radius."""
     bodies = CollisionBodies.of(arm, Surroundings(spheres=(((0.0, 0.65, 0.0), 0.1),)))
-    assert bodies.notes[-1].startswith("capsules of 25 mm radius stand for all links")
+    assert bodies.notes[-1].startswith("capsules of 27.5 mm radius stand for all links")
     distance, _ = bodies.distances(np.array([math.pi / 2, 0.0]), 2.0)
-    assert distance.min() == pytest.approx(0.15 - 0.1 - 0.025, abs=1e-6)
+    assert distance.min() == pytest.approx(0.15 - 0.1 - 0.0275, abs=1e-6)
 
 
 def test_a_wrong_number_of_radii_is_named(arm: jc.Manipulator) -> None:
@@ -155,5 +155,5 @@ def test_no_pose_of_a_design_is_below_the_floor(name: str) -> None:
         heights = np.column_stack([poses[..., 2, 3], tip[:, 2]]) + 0.6718
     else:
         heights = heights_of_urdf(path, dict(zip(robot.joint_names, q.T, strict=True)))
-    radius = {"panda": 0.0606, "ur5": 0.0623, "puma560": 0.0895}[name]
+    radius = {"panda": 0.0484, "ur5": 0.0636, "puma560": 0.0615}[name]
     assert heights.min() >= radius

@@ -63,19 +63,19 @@ def test_meshes_are_looked_for_as_ros_does(tmp_path: Path, mesh: str) -> None:
     [
         (
             "package://other/meshes/no.stl",
-            "mesh 'package://other/meshes/no.stl' was not found",
+            "were not found in a folder above the URDF: package://other/meshes/no.stl",
         ),
-        ("../meshes/cube.dae", "mesh 'cube.dae' cannot be read (only .stl, .obj, .msh)"),
+        ("../meshes/cube.dae", "cannot be read (only .stl, .obj, .msh): cube.dae"),
     ],
 )
 def test_meshes_that_cannot_be_read_are_named_and_replaced(
     tmp_path: Path, mesh: str, message: str
 ) -> None:
-    """The link has its frame and its mass at its joint: a ball of the usual radius of 50 mm."""
+    """The link has its frame and its mass at its joint: a ball of the usual radius of 55 mm."""
     bodies = CollisionBodies.of(robot_with(tmp_path, mesh), Surroundings(floor=-1.0))
     assert any(message in note for note in bodies.notes)
-    assert bodies.notes[-1].startswith("capsules of 50 mm radius stand for all links")
-    assert bodies.distances(np.zeros(1), 2.0)[0] == pytest.approx([0.95], abs=1e-6)
+    assert bodies.notes[-1].startswith("capsules of 55 mm radius stand for all links")
+    assert bodies.distances(np.zeros(1), 2.0)[0] == pytest.approx([0.945], abs=1e-6)
 
 
 def standing(folder: Path, base: str, *, up: float = 1.0, tool: str = "") -> CollisionBodies:
@@ -105,6 +105,7 @@ def standing(folder: Path, base: str, *, up: float = 1.0, tool: str = "") -> Col
 FOOT = (
     '<collision><origin xyz="0 0 {at}"/><geometry><box size="0.1 0.1 0.3"/></geometry></collision>'
 )
+RADIUS = 0.055 * 0.5  # of capsules, from the shoulder to the elbow
 TOOL = (
     '<link name="flange"/><joint name="tool" type="fixed"><parent link="fore"/>'
     '<child link="flange"/><origin xyz="0.3 0 0"/></joint>'
@@ -127,20 +128,30 @@ def height_of_tip(bodies: CollisionBodies, q: list[float]) -> float:
 def test_the_floor_is_at_the_foot_of_the_base(tmp_path: Path, base: str, foot: float) -> None:
     bodies = standing(tmp_path, base)
     assert f"a floor at z = {foot:g} m (the base's foot)" in bodies.notes[0]
-    radius = 0.05 * 0.8 if not base else 0.05 * (0.8 - foot)
     # Lying, the fore link is at the height of the shoulder and 0.5 m up.
-    assert height_of_tip(bodies, [0.0, np.pi / 2]) == pytest.approx(0.8 - foot - radius, abs=1e-6)
+    assert height_of_tip(bodies, [0.0, np.pi / 2]) == pytest.approx(0.8 - foot - RADIUS, abs=1e-6)
 
 
 def test_links_without_shapes_end_at_twice_their_centre_of_gravity(tmp_path: Path) -> None:
     bodies = standing(tmp_path, "")
-    assert height_of_tip(bodies, [0.0, np.pi]) == pytest.approx(0.4 - 0.04, abs=1e-6)
-    assert bodies.notes[-1].startswith("capsules of 40 mm radius stand for fore, for which")
+    assert height_of_tip(bodies, [0.0, np.pi]) == pytest.approx(0.4 - RADIUS, abs=1e-6)
+    assert bodies.notes[-1].startswith("capsules of 27.5 mm radius stand for fore, for which")
 
 
 def test_links_without_shapes_end_at_what_is_fixed_to_them(tmp_path: Path) -> None:
     bodies = standing(tmp_path, "", tool=TOOL)
-    assert height_of_tip(bodies, [0.0, np.pi / 2]) == pytest.approx(0.5 - 0.04, abs=1e-6)
+    assert height_of_tip(bodies, [0.0, np.pi / 2]) == pytest.approx(0.5 - RADIUS, abs=1e-6)
+
+
+def test_files_that_cannot_be_compiled_have_capsules(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    mesh = '<asset><mesh name="m" file="none.stl"/></asset><worldbody>'
+    path.write_text(
+        MJCF.replace("<worldbody>", mesh).replace('type="capsule"', 'type="mesh" mesh="m"', 1)
+    )
+    bodies = CollisionBodies.of(jc.load_robot(path), Surroundings())
+    assert any("shapes of the robot's file cannot be read" in note for note in bodies.notes)
+    assert bodies.notes[-1].startswith("capsules of 27.5 mm radius stand for all links")
 
 
 def test_an_arm_that_hangs_has_a_ceiling(tmp_path: Path) -> None:
