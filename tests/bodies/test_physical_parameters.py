@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.bodies import POSSIBILITY
+from jaxcslc.bodies import POSSIBILITY, file_bodies
 from jaxcslc.bodies._body import (
     bodies_of,
     body_map,
@@ -416,3 +417,34 @@ def test_a_missing_conic_solver_is_named(
     assert jc.physical_parameters(pendulum, fit_of(possible)).result == POSSIBILITY.successful
     with pytest.raises(ImportError, match=r"pip install 'jaxcslc\[inertia\]'"):
         jc.physical_parameters(pendulum, fit_of(-possible))
+
+
+def test_bodies_of_a_file_are_those_that_it_has(tmp_path: Path) -> None:
+    """A tool that is fixed to the second link is no part of it; frames are the file's."""
+    links = {"base": None, "upper": (2.0, 0.1), "fore": (1.5, -0.2), "tool": (0.5, 0.3)}
+    joints = (("shoulder", "base", "upper"), ("elbow", "upper", "fore"), ("mount", "fore", "tool"))
+    text = '<robot name="arm">'
+    for name, entry in links.items():
+        text += f'<link name="{name}">'
+        if entry is not None:
+            text += (
+                f'<inertial><origin xyz="{entry[1]} 0.02 0.03"/><mass value="{entry[0]}"/>'
+                '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
+            )
+        text += "</link>"
+    for name, parent, child in joints:
+        kind = "fixed" if name == "mount" else "continuous"
+        text += (
+            f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            '<origin xyz="0.3 0 0.1" rpy="0.2 0 0.4"/><axis xyz="0 1 0"/></joint>'
+        )
+    path = tmp_path / "arm.urdf"
+    path.write_text(text + "</robot>", encoding="utf-8")
+    bodies = file_bodies(jc.load_robot(path))
+    assert bodies is not None
+    for body, name in zip(bodies, ("upper", "fore"), strict=True):
+        mass, x = links[name] or (0.0, 0.0)
+        np.testing.assert_allclose(float(body.mass), mass)
+        np.testing.assert_allclose(body.centre_of_gravity, [x, 0.02, 0.03], atol=1e-12)
+        np.testing.assert_allclose(body.inertia, 0.1 * np.eye(3), atol=1e-12)
+    assert file_bodies(jc.examples.pendulum()) is None

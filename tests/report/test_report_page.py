@@ -201,6 +201,37 @@ def test_bodies_are_drawn_where_they_are(reports: tuple[jc.Report, jc.Report]) -
     assert len(data["arm"]["bodies"]) == 2
 
 
+def test_charts_show_measured_and_predicted_torque(reports: tuple[jc.Report, jc.Report]) -> None:
+    """Of a recording that needs no thinning, sample by sample, to the digits of a page."""
+    report = reports[0]
+    figure = report.torque_chart(SECOND)
+    curves = {trace.name: np.array(trace.y, float) for trace in figure.data}
+    expected = {
+        "measured": np.asarray(report.patterns["validation"].torque)[:, 1],
+        "predicted": report.predicted("validation")[:, 1],
+    }
+    for name, values in expected.items():
+        np.testing.assert_allclose(curves[name], values, rtol=1e-4, atol=1e-6)
+    assert report.torque_chart(2, "validation") == figure
+    assert len(report.plot("training").data) == 2 * len(report.torque_chart(1, "training").data)
+    for joint in (0, 3, "wrist"):
+        with pytest.raises(ValueError, match="joint: expected 1 to 2 or a name"):
+            report.torque_chart(joint)
+    with pytest.raises(ValueError, match="recording: expected one of training, validation, got"):
+        report.plot("tomorrow")
+
+
+def test_a_report_describes_itself(reports: tuple[jc.Report, jc.Report]) -> None:
+    report = reports[0]
+    row = report["kv2"]
+    assert repr(row) == (
+        f"kv2 = {row['value']:.4g} N m s/rad, 95 % interval {row['low']:.4g} to {row['high']:.4g},"
+        f" {row['verdict']}"
+    )
+    assert repr(report).endswith(report.verdict) and "Report of " in repr(report)
+    assert "Replay of the validation recording" in repr(report).splitlines()[1]
+
+
 def test_comparison_is_in_standard_errors_of_both(
     reports: tuple[jc.Report, jc.Report], saved: Path
 ) -> None:

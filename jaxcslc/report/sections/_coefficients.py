@@ -97,12 +97,7 @@ class CoefficientSection(AbstractSection):
 
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         fit, legend = report.fit, report.model.legend
-        rows = tuple(
-            tuple(
-                readable(str(row[name])) if name == "expression" else row[name] for name in _COLUMNS
-            )
-            for row in report.rows()
-        )
+        rows = tuple(tuple((row | _shown(row))[name] for name in _COLUMNS) for row in report.rows())
         undetermined = tuple(Message(text, "bad") for text in fit.unidentifiable)
         yield Section(
             "Coefficients",
@@ -235,6 +230,12 @@ class ExcitationSection(AbstractSection):
             " compensate each other: their sum or difference is known better than each of them.",
             blocks,
         )
+
+
+def _shown(row: Mapping[str, Any]) -> dict[str, str]:
+    """Return entries of a row as the page shows them: reasons of doubt, rounded expressions."""
+    reason = "" if row["verdict"] == "well determined" else row["reason"]
+    return {"reason": reason, "expression": readable(row["expression"])}
 
 
 def _correlated(fit: Identification) -> tuple[tuple[str, str, float], ...]:

@@ -64,18 +64,25 @@
       Promise.all(same.map((other) => Plotly.relayout(other, Object.fromEntries(range)))).finally(() => (leading = false));
     });
   }
-  const waiting = Array.from(figures.keys());
-  (function next() {
-    const name = waiting.shift();
-    if (!name) return;
-    draw(name).then(function (chart) {
-      if (chart.dataset.group) follow(chart);
-      setTimeout(next, 0);
-    });
-  })();
-  dark.addEventListener("change", () => figures.forEach((_, name) => draw(name)));
+  // Charts that are folded away are drawn when they are shown.
+  const waiting = new Set(figures.keys());
+  const shown = (name) => !document.getElementById(name).closest("details:not([open])");
+  function drawFirst(name) {
+    waiting.delete(name);
+    return draw(name).then((chart) => chart.dataset.group && follow(chart));
+  }
+  function next() {
+    const name = Array.from(waiting).find(shown);
+    if (name) drawFirst(name).then(() => setTimeout(next, 0));
+  }
+  next();
+  const drawn = () => Array.from(figures.keys()).filter((name) => !waiting.has(name));
+  dark.addEventListener("change", () => drawn().forEach(draw));
   document.querySelectorAll("details").forEach(function (part) {
-    part.addEventListener("toggle", () => part.querySelectorAll(".js-plotly-plot").forEach((chart) => Plotly.Plots.resize(chart)));
+    part.addEventListener("toggle", function () {
+      next();
+      part.querySelectorAll(".js-plotly-plot").forEach((chart) => Plotly.Plots.resize(chart));
+    });
   });
 
   const dialog = document.getElementById("large");
@@ -94,8 +101,8 @@
   // Paper has four charts beside each other.
   const paper = { width: 390, height: 260 };
   window.addEventListener("beforeprint", function () {
-    waiting.splice(0).forEach(draw);
+    Array.from(waiting).filter(shown).forEach(drawFirst);
     document.querySelectorAll(".chart.js-plotly-plot").forEach((chart) => Plotly.relayout(chart, { ...paper, autosize: false }));
   });
-  window.addEventListener("afterprint", () => figures.forEach((_, name) => draw(name)));
+  window.addEventListener("afterprint", () => drawn().forEach(draw));
 })();
