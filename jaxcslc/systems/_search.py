@@ -168,21 +168,14 @@ class ProjectedError(eqx.Module):
     constants themselves scale, and the search would shrink it (the flow between two tanks to a
     power of their levels: the error's logarithm fell by 0.4 from the true 0.5 to the bound of 0.1).
 
-    - `network`: with the constants that `torque` was measured with.
-    - `q`, `qd`, `qdd`, `torque`, `mask`: a part of the patterns.
+    - `network`: with the constants that the patterns' known sides were computed with.
+    - `patterns`: some or all of the recording's.
     - `weights`: of outputs.
-    - `low`, `high`: bounds of the constants.
     """
 
     network: SystemNetwork
-    q: Float[Array, "samples variables"]
-    qd: Float[Array, "samples variables"]
-    qdd: Float[Array, "samples variables"]
-    torque: Float[Array, "samples outputs"]
-    mask: Float[Array, "samples outputs"]
+    patterns: Patterns
     weights: Float[Array, " outputs"]
-    low: Float[Array, " constants"]
-    high: Float[Array, " constants"]
     rcond: float | None = eqx.field(static=True)
 
     @classmethod
@@ -196,11 +189,8 @@ class ProjectedError(eqx.Module):
     ) -> "ProjectedError":
         """Return the error on patterns, or on at most `samples` of them, evenly spread in time."""
         step = 1 if samples is None else -(-patterns.samples // samples)
-        arrays = (patterns.q, patterns.qd, patterns.qdd, patterns.torque, patterns.mask)
-        q, qd, qdd, torque, mask = (jnp.asarray(x[::step], float) for x in arrays)
-        low, high = map(jnp.asarray, _bounds(network.system))
-        of_outputs = jnp.asarray(weights)
-        return cls(network, q, qd, qdd, torque, mask, of_outputs, low, high, rcond)
+        some = jax.tree.map(lambda x: jnp.asarray(x[::step]), patterns)
+        return cls(network, some, jnp.asarray(weights), rcond)
 
     def weighted(self, error: Float[np.ndarray, " outputs"]) -> "ProjectedError":
         """Return the problem with weights by errors; the largest for an output without one."""
@@ -210,23 +200,25 @@ class ProjectedError(eqx.Module):
 
     def values(self, point: Float[Array, " constants"]) -> Float[Array, " constants"]:
         """Constants from coordinates of the search: any real number is within the bounds."""
-        return self.low + (self.high - self.low) * (0.5 + 0.5 * jnp.sin(point))
+        low, high = map(jnp.asarray, _bounds(self.network.system))
+        return low + (high - low) * (0.5 + 0.5 * jnp.sin(point))
 
     def at(
         self, values: Float[Array, " constants"]
     ) -> tuple[Float[Array, "samples outputs _"], Float[Array, "samples outputs"]]:
         """Return regressor and known sides with these values of the constants."""
-        network, motion = self.network.with_nonlinear(values), (self.q, self.qd, self.qdd)
-        torque = self.torque + network.known(*motion) - self.network.known(*motion)
-        return network.regressor(*motion), torque
+        network, patterns = self.network.with_nonlinear(values), self.patterns
+        motion = patterns.q, patterns.qd, patterns.qdd
+        known = network.known(*motion) - self.network.known(*motion)
+        return network.regressor(*motion), jnp.asarray(patterns.torque) + known
 
     def equations(
         self, values: Float[Array, " constants"]
     ) -> tuple[Float[Array, "outputs samples _"], Float[Array, "outputs samples"]]:
         """Return the same by output, zero outside of the mask."""
-        rows, torque = self.at(values)
-        rows = jnp.where(self.mask[..., None] > 0, rows, 0.0)
-        return jnp.swapaxes(rows, 0, 1), jnp.where(self.mask > 0, torque, 0.0).T
+        (rows, torque), mask = self.at(values), self.patterns.mask
+        rows = jnp.where(mask[..., None], rows, 0.0)
+        return jnp.swapaxes(rows, 0, 1), jnp.where(mask, torque, 0.0).T
 
     def factors(self, rows: Array, torque: Array) -> JointFactors:
         triangles = [
@@ -236,7 +228,8 @@ class ProjectedError(eqx.Module):
             )
             for of_joint, right, support in zip(rows, torque, self.network.support, strict=True)
         ]
-        return JointFactors(tuple(triangles), jnp.sum(self.mask, axis=0))
+        counts = jnp.sum(self.patterns.mask, axis=0, dtype=rows.dtype)
+        return JointFactors(tuple(triangles), counts)
 
     def solve(self, factors: JointFactors) -> Solution:
         """Return the best coefficients, by the direct solve."""
@@ -335,10 +328,10 @@ def search_constants(
     weights = np.ones(count) if isinstance(given, str) else np.asarray(given, float)
     problem = ProjectedError.of(system.network, patterns, weights, solver.rcond, _SAMPLES)
     by_error = isinstance(given, str) and given == "residual" and count > 1
-    tried = _spread(candidates, len(problem.low), seed + 1)
+    tried = _spread(candidates, len(system.nonlinear), seed + 1)
     if by_error:
         problem = problem.weighted(_typical_error(problem, tried))
-    points = [*_spread(starts, len(problem.low), seed), *_candidates(problem, tried)]
+    points = [*_spread(starts, len(system.nonlinear), seed), *_candidates(problem, tried)]
     minima = _minima(problem, points, [int(i < starts) for i in range(len(points))])
     if by_error:
         # Weights by the errors of the best minimum, where those of chance were good enough so far.
@@ -379,7 +372,7 @@ def _point(
     problem: ProjectedError, values: Float[np.ndarray, " constants"]
 ) -> Float[np.ndarray, " constants"]:
     """Return the coordinates of values: the inverse of `ProjectedError.values`."""
-    low, high = np.asarray(problem.low), np.asarray(problem.high)
+    low, high = _bounds(problem.network.system)
     return np.arcsin(np.clip(2.0 * (values - low) / (high - low) - 1.0, -1.0, 1.0))
 
 
@@ -424,7 +417,8 @@ def _minima(
     order = [i for i in np.argsort(totals, kind="stable") if np.isfinite(totals[i])]
     if not order:
         raise RuntimeError("no local search ended in a finite error; expected other bounds")
-    best, size = totals[order[0]], np.asarray(problem.high - problem.low)
+    low, high = _bounds(problem.network.system)
+    best, size = totals[order[0]], high - low
     minima: list[ConstantMinimum] = []
     for i in order:
         values, total, error = (np.asarray(x) for x in ends[i])
