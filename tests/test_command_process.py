@@ -68,8 +68,9 @@ main()
     assert (done.returncode, done.stderr) == (130, "jaxcslc: interrupted\n")
 
 
-def test_no_result_is_lost_to_a_name_a_terminal_or_a_compiler(tmp_path: Path) -> None:
-    """A byte that is no UTF-8, a terminal that has ASCII alone, a CC that is no command line."""
+def test_no_result_is_lost_to_surroundings(tmp_path: Path) -> None:
+    """A name that is no UTF-8, a terminal that has ASCII alone, a CC that is no command line, and
+    JAX's debugging switches."""
     folder = tmp_path / os.fsdecode(b"arm\xff")
     folder.mkdir()
     arm = "gravity = [0, -9.81, 0]\n[[joint]]\n"
@@ -81,6 +82,7 @@ def test_no_result_is_lost_to_a_name_a_terminal_or_a_compiler(tmp_path: Path) ->
     jc.save_recording(jc.Recording(time, q, torque), folder / "log.csv")
     command = [sys.executable, "-m", "jaxcslc", "identify", "arm.toml", "log.csv", "-o", "results"]
     environment = dict(os.environ, PYTHONIOENCODING="ascii", CC='"cc')
+    environment |= {"JAX_TRANSFER_GUARD": "disallow", "JAX_DEBUG_INFS": "1", "JAX_DEBUG_NANS": "1"}
     done = subprocess.run(command, cwd=folder, capture_output=True, env=environment)
     assert done.returncode == 0, done.stderr
     assert b"\\u2713" in done.stdout  # a tick

@@ -31,6 +31,8 @@ def prepare_process() -> None:
     # Matrices are small: more threads of BLAS only wait for each other. On two cores they took 1.8
     # of the 9.9 s of processor time of an identification of 3,300 samples.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # What it forbids, arrays of NumPy in JAX's functions, is what the command does everywhere.
+    os.environ.pop("JAX_TRANSFER_GUARD", None)
     atexit.register(_end)  # the first to be registered is the last to be called
     gc.disable()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
