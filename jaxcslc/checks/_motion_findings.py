@@ -389,7 +389,7 @@ def _excitation(evidence: Evidence) -> tuple[list[Finding], str]:
     whole = rank == _determinable(network)
     if (whole or motionless(evidence.recording).any()) and gap < _TAME:
         return [], text
-    held_out = f"errors on data left out of the fit are {np.exp(gap):.3g} times those of the fit"
+    held_out = f"held-out errors are {np.exp(gap):.3g} times the training errors"
     return [finding("tame motion", f"{text}; {held_out}")], text
 
 
@@ -443,7 +443,7 @@ def agreement_findings(
         joints = [network.output_names[j] for j in np.flatnonzero(worse)]
         errors = zip(joints, carried[worse], alone[worse], strict=True)
         listed = (
-            f"{j} {100 * other:.2g} % in place of {100 * own:.2g} %" for j, other, own in errors
+            f"{j} {100 * other:.2g} % instead of {100 * own:.2g} %" for j, other, own in errors
         )
         kind, explanation, groups = _disagreement(network, k, other.patterns, carried, alone)
         yield finding(

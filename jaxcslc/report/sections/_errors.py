@@ -84,7 +84,7 @@ class ErrorSection(AbstractSection):
             judged, every = (quality.data["quality"][name][samples] for samples in _SAMPLES)
             columns = {
                 "RMS error": judged["rms"],
-                **dict(zip((f"({x})" for x in table.names[1:]), table.rms[1:], strict=True)),
+                **dict(zip((f"RMS, {x}" for x in table.names[1:]), table.rms[1:], strict=True)),
                 f"[% of {model.output_quantity}]": judged["percent"],
                 "R²": judged["r_squared"],
                 "RMS error, all samples": every["rms"],
@@ -147,7 +147,7 @@ class QualitySection(AbstractSection):
         largest = float(percent[worst])
         tone: Tone = "bad" if largest > _LARGE else "caution" if largest > _SMALL else "good"
         judged, every = _range(percent), _range(whole)
-        masked = "" if judged == every else f" ({every} % with masked samples)"
+        masked = "" if judged == every else f" ({every} % including masked samples)"
         yield Message(
             f"Replay of the {name} recording: the {report.model.error_kind} error is {judged} % of"
             f" the RMS {quantity}{masked}, largest at {names[worst]}.",
