@@ -18,19 +18,9 @@ from jaxcslc.derivation import Chain, PositionRing, derive_algebra, link_twists
 from jaxcslc.derivation._chain import exact_cos_sin, exact_number
 from jaxcslc.derivation._polynomials import SparsePolynomial
 from jaxcslc.manipulator import LinkInertia, Manipulator, RobotError
+from tests import arms
 
 
-# Consecutive parallel and antiparallel axes, a prismatic joint between two of them, offsets.
-MIXED = Manipulator.from_modified_dh(
-    [
-        (0, 0, 0.2, 0.3),
-        ("pi", 0.4, 0, 0),
-        (0, -0.2, 0.1, 0),
-        ("pi/2", 0.1, 0.3, "pi/2"),
-        ("pi", 0.2, 0, 0.1),
-    ],
-    kinds="RRPRR",
-)
 QUARTERS = [(1, 0), (0, 1), (-1, 0), (0, -1)]
 
 
@@ -68,7 +58,7 @@ def test_numbers_are_what_was_typed() -> None:
 
 
 def test_parallel_axes_share_their_angle() -> None:
-    chain = Chain.from_robot(MIXED)
+    chain = Chain.from_robot(arms.MIXED)
     assert [angle.label for angle in chain.angles] == ["1", "1-2", "4", "4-5"]
     assert [angle.terms for angle in chain.angles] == [
         *(((0, 1),), ((0, 1), (1, -1)), ((3, 1),), ((3, 1), (4, -1)))
@@ -140,7 +130,7 @@ def test_sparse_polynomials_are_sympys() -> None:
 
 
 def test_normal_form_is_the_same_function(rng: np.random.Generator) -> None:
-    ring = PositionRing(Chain.from_robot(MIXED), ())
+    ring = PositionRing(Chain.from_robot(arms.MIXED), ())
     angles = range(len(ring.chain.angles))
     for _ in range(10):
         polynomial = random_polynomial(ring, rng)
@@ -154,7 +144,7 @@ def test_normal_form_is_the_same_function(rng: np.random.Generator) -> None:
 
 
 def test_equal_functions_are_equal_polynomials() -> None:
-    ring = PositionRing(Chain.from_robot(MIXED), ())
+    ring = PositionRing(Chain.from_robot(arms.MIXED), ())
     c, s = ring.cosines[1], ring.sines[1]
     assert ring.normal_form((c + s) ** 2 - (1 + 2 * c * s)) == 0
     assert ring.normal_form(s**4) == ring.normal_form((1 - c**2) ** 2)
@@ -162,7 +152,7 @@ def test_equal_functions_are_equal_polynomials() -> None:
 
 @pytest.mark.parametrize("joint", range(5))
 def test_derivative(rng: np.random.Generator, joint: int) -> None:
-    ring = PositionRing(Chain.from_robot(MIXED), ())
+    ring = PositionRing(Chain.from_robot(arms.MIXED), ())
     q = rng.uniform(-3, 3, 5)
     step = np.zeros(5, complex)
     step[joint] = 1e-30j  # a complex step has no subtraction, and so no rounding to speak of
@@ -199,7 +189,7 @@ def running_sum(terms: Sequence[tuple[int, int]], pairs: Sequence[tuple[Any, Any
 
 
 @pytest.mark.parametrize(
-    "robot", [MIXED, jaxcslc.puma560(), jaxcslc.panda()], ids=lambda r: r.kinds
+    "robot", [arms.MIXED, jaxcslc.puma560(), jaxcslc.panda()], ids=lambda r: r.kinds
 )
 def test_jacobians_are_pinocchios(
     rng: np.random.Generator, pinocchio_chain: Callable[[Manipulator], Any], robot: Manipulator

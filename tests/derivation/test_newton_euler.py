@@ -9,33 +9,12 @@ from flint import fmpq
 import jaxcslc as jc
 from jaxcslc.derivation import Algebra, NewtonEuler, ProductTable, derive_algebra, link_frames
 from jaxcslc.derivation._chain import compose, exact_cos_sin, exact_number
+from tests import arms
 
 
-_MIXED = jc.Manipulator.from_modified_dh(
-    [
-        (0, 0, 0.2, 0.3),
-        ("pi", 0.4, 0, 0),
-        (0, -0.2, 0.1, 0),
-        ("pi/2", 0.1, 0.3, "pi/2"),
-        ("pi", 0.2, 0, 0.1),
-    ],
-    kinds="RRPRR",
-    gravity=(1.0, 2.0, -9.0),
-)
-_TREE = jc.Manipulator.from_modified_dh(
-    [
-        (0.3, 0.1, 0.2, 0.4),
-        ("-pi/2", 0.2, 0.1, 0),
-        (1.0, 0.1, 0.3, 0.7, 0.5, 0.2),
-        ("pi/2", 0, 0.2, "pi/2"),
-    ],
-    kinds="RPRR",
-    parents=[0, 1, 1, 3],
-    gravity=(0, 0, -9.81),
-)
 _ROBOTS = [
-    pytest.param(_MIXED, id="parallel axes"),
-    pytest.param(_TREE, id="a tree"),
+    pytest.param(arms.MIXED, id="parallel axes"),
+    pytest.param(arms.TREE, id="a tree"),
     pytest.param(jc.puma560(), id="PUMA 560"),
 ]
 

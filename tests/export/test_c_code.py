@@ -19,23 +19,7 @@ _STATES = 5
 _ROUNDING = 1e-12
 
 
-def _tree() -> jc.Manipulator:
-    """Two branches, a prismatic joint, twists that are no right angles, gravity askew."""
-    return jc.Manipulator.from_modified_dh(
-        [
-            (0.3, 0.1, 0.2, 0.4),
-            ("-pi/2", 0.2, 0.1, 0),
-            (1.0, 0.1, 0.3, 0.7, 0.5, 0.2),
-            ("pi/2", 0, 0.2, "pi/2"),
-        ],
-        kinds="RPRR",
-        parents=[0, 1, 1, 3],
-        gravity=(1.0, 2.0, -9.0),
-        name="a tree",
-    )
-
-
-_ALL_KINDS = _tree().with_friction(
+_ALL_KINDS = arms.TREE.with_friction(
     "asymmetric_viscous", "asymmetric_dry", "static", "root", "spring"
 )
 
@@ -81,7 +65,7 @@ def test_puma560_of_possible_links(
 
 
 def test_panda(compiled: Compiled, rng: np.random.Generator) -> None:
-    network = jc.derive(jc.panda(), lengths="numeric")
+    network = arms.panda()
     k = rng.normal(size=network.size)
     code = jc.c_code(network, k)
     _agrees(network, k, compiled(code), rng)
@@ -100,7 +84,7 @@ def test_panda(compiled: Compiled, rng: np.random.Generator) -> None:
             id="every kind, a coupling",
         ),
         pytest.param(
-            _tree().with_friction("viscous", "dry", "offset"), "symbolic", id="offsets, symbols"
+            arms.TREE.with_friction("viscous", "dry", "offset"), "symbolic", id="offsets, symbols"
         ),
     ],
 )
@@ -117,10 +101,8 @@ def test_a_tree(
 @pytest.mark.parametrize("lengths", ["symbolic", "numeric"])
 def test_known_masses(lengths: Any, compiled: Compiled, rng: np.random.Generator) -> None:
     """Numbers of the algebra (thesis C.1.2), in closed form and by recursion."""
-    robot = (
-        _tree()
-        .with_known(2, mass=1.5, centre_of_gravity=(0.1, -0.2, 0.05))
-        .with_known(3, centre_of_gravity=(0.3, 0.0, 0.1))
+    robot = arms.TREE.with_known(2, mass=1.5, centre_of_gravity=(0.1, -0.2, 0.05)).with_known(
+        3, centre_of_gravity=(0.3, 0.0, 0.1)
     )
     network = jc.derive(robot, lengths=lengths)
     k = rng.normal(size=network.size)
@@ -133,7 +115,7 @@ def test_known_masses(lengths: Any, compiled: Compiled, rng: np.random.Generator
 def test_friction_that_follows_the_load(
     kind: str, compiled: Compiled, rng: np.random.Generator
 ) -> None:
-    network = jc.derive(_tree().with_friction("dry", kind), lengths="numeric")
+    network = arms.tree("dry", kind)
     k = rng.normal(size=network.size)
     network = network.with_load(k)
     _agrees(network, k, compiled(jc.c_code(network, k)), rng)

@@ -17,6 +17,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import jaxcslc as jc
 from jaxcslc.least_squares import Work, block_factors
 from jaxcslc.recordings import joined_patterns
+from tests import arms
 from tests.conftest import run
 
 
@@ -27,9 +28,7 @@ _ROUNDING = 1e-11
 
 @pytest.fixture(scope="module")
 def arm() -> jc.CSLC:
-    joints = [(0, 0, 0, 0), (0, 0.5, 0, 0)]
-    robot = jc.Manipulator.from_modified_dh(joints, gravity=(0, -9.81, 0))
-    return jc.derive(robot, lengths="numeric")
+    return arms.planar_arm()
 
 
 @pytest.fixture(scope="module")

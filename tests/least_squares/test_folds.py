@@ -8,6 +8,7 @@ import pytest
 
 import jaxcslc as jc
 from jaxcslc.least_squares import triangle_of
+from tests import arms
 
 
 INTERVAL = 0.002
@@ -57,7 +58,7 @@ def test_leaving_a_fold_out_of_triangles_is_leaving_it_out_of_the_patterns(
 
 @pytest.mark.parametrize("case", ["noise", "exact torque", "still joint"])
 def test_folds_that_determine_everything_or_not(case: str, rng: np.random.Generator):
-    network = jc.derive(jc.panda().with_friction("viscous"), lengths="numeric")
+    network = arms.panda("viscous")
     samples = 600
     q, qd, qdd = rng.normal(size=(3, samples, 7))
     if case == "still joint":

@@ -11,6 +11,7 @@ import jaxcslc as jc
 from jaxcslc.friction import along_motion, state_at
 from jaxcslc.recordings import at_rest, directions_beside
 from jaxcslc.report import predicted_torque
+from tests import arms
 
 
 SAMPLES = 400
@@ -72,11 +73,7 @@ def test_a_few_samples_hold_no_rest(samples: int) -> None:
 @pytest.fixture(scope="module")
 def arm() -> tuple[jc.CSLC, np.ndarray]:
     """Two joints with all friction that has a direction, and random coefficients."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.4, 0, 0)], gravity=(0, -9.81, 0))
-    network = jc.derive(
-        robot.with_friction("viscous", "dry", "static", "offset"), lengths="numeric"
-    )
-    network = network.with_static_slopes([3.0, 7.0])
+    network = arms.planar_arm("viscous", "dry", "static", "offset").with_static_slopes([3.0, 7.0])
     return network, np.random.default_rng(3).normal(size=network.size)
 
 
@@ -136,8 +133,7 @@ def test_every_transform_agrees(arm: tuple[jc.CSLC, np.ndarray], rng: np.random.
 
 def test_states_of_pre_sliding_are_left_alone(rng: np.random.Generator) -> None:
     """A joint with a length keeps what its state says, the other one half at the end."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.4, 0, 0)], gravity=(0, 0, -9.81))
-    network = jc.derive(robot.with_friction("dry"), lengths="numeric")
+    network = arms.planar_arm("dry")
     patterns = patterns_of(rng.normal(size=(SAMPLES, 2)), rng)
     k, lengths = np.asarray(jc.LeastSquares().fit(network, patterns).k), np.array([0.01, 0.0])
     # Half a swing, and rest.

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.least_squares import dense_factors, rows_of
+from tests import arms
 from tests.patterns import ORDINARY, Motion, patterns_of
 
 
@@ -220,7 +221,7 @@ class TestFailures:
             ORDINARY.fit(puma, few)
 
     def test_wrong_joints(self, puma: jc.CSLC, exciting_motion: Motion) -> None:
-        panda = jc.derive(jc.panda(), lengths="numeric")
+        panda = arms.panda()
         everything = np.ones((3000, 6), bool)
         patterns = jc.Patterns(
             np.arange(3000.0), *exciting_motion, exciting_motion[0], everything, everything

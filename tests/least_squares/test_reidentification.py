@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.network import carrier
+from tests import arms
 from tests.patterns import ORDINARY, Motion, patterns_of
 
 
@@ -29,8 +30,7 @@ _OPTIONS: list[dict[str, Any]] = [
 @pytest.fixture(scope="module")
 def arm() -> jc.CSLC:
     """Two joints in a vertical plane: 4 inertial coefficients and 4 of friction."""
-    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.4, 0, 0)], gravity=(0, -9.81, 0))
-    return jc.derive(robot, lengths="numeric")
+    return arms.planar_arm()
 
 
 def _drawn(network: jc.CSLC, k: Any, rng: np.random.Generator, samples: int, noise: float):

@@ -13,16 +13,11 @@ import jaxcslc
 from jaxcslc.codegen import StraightLine, array_outputs, by_platform, named
 from jaxcslc.manipulator import Manipulator
 from jaxcslc.network import RigidBodyRecursion, code
+from tests import arms
 
 
 ROUNDING = 1e-12
-# A tree: two arms on a turning base, one of them with a prismatic joint.
-TREE = Manipulator.from_modified_dh(
-    [(0, 0, 0.3, 0), (0.5, 0.2, 0, 0), (-0.9, 0.1, 0.2, 0), ("pi/2", 0.4, 0, 0), (0, 0.3, 0, 1.0)],
-    kinds="RRPRR",
-    parents=[0, 1, 2, 1, 4],
-)
-ROBOTS = {"panda": jaxcslc.panda, "puma560": jaxcslc.puma560, "tree": lambda: TREE}
+ROBOTS = {"panda": jaxcslc.panda, "puma560": jaxcslc.puma560, "tree": lambda: arms.TREE}
 
 
 @pytest.fixture(params=list(ROBOTS), scope="module")

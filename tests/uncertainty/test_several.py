@@ -10,6 +10,7 @@ from jaxcslc.cli._inputs import recordings_of
 from jaxcslc.least_squares import LeastSquares
 from jaxcslc.report import Table
 from jaxcslc.uncertainty import fit_recordings
+from tests import arms
 
 
 SAMPLES = 600
@@ -19,9 +20,7 @@ SOLVER = LeastSquares(errors="independent")
 
 @pytest.fixture(scope="module")
 def network() -> jc.CSLC:
-    rows = [(0, 0, 0, 0), ("pi/2", 0.4, 0, 0)]
-    robot = jc.Manipulator.from_modified_dh(rows, gravity=(0, -9.81, 0))
-    return jc.derive(robot, lengths="numeric")
+    return arms.elbow()
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ import pytest
 
 import jaxcslc as jc
 from scripts.examples import franka_panda
+from tests import arms
 
 
 _ROOT = Path(__file__).parents[3]
@@ -23,7 +24,7 @@ def test_a_folder_without_the_recording(tmp_path: Path, capsys: pytest.CaptureFi
 def test_raw_torque_of_the_last_third() -> None:
     """Two thirds fitted with settings fixed here, one third predicted, beside the usual method."""
     recording = franka_panda.read_recording(_DATA)
-    network = jc.derive(jc.panda(), lengths="numeric")
+    network = arms.panda()
     target = franka_panda.Target.of(recording)
     training = franka_panda.resample(
         recording.rows(recording.time < target.until), franka_panda.PERIOD

@@ -12,6 +12,7 @@ import pytest
 
 import jaxcslc as jc
 from scripts.examples import franka_panda_physical
+from tests import arms
 
 
 _DATA = Path(__file__).parents[4] / "shared" / "data" / "franka_panda"
@@ -24,7 +25,7 @@ def test_reads_the_authors_symbols() -> None:
         for i in range(1, 8)
     )
 
-    network = jc.derive(jc.panda(), lengths="numeric")
+    network = arms.panda()
     fit: Any = SimpleNamespace(
         k=np.ones(network.size),
         covariance=np.eye(network.size),
