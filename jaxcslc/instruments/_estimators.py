@@ -1,9 +1,11 @@
 """The estimators `InstrumentalVariables` (IDIM-IV) and `DirectDynamics` (DIDIM).
 
-Both simulate and fit in turn until coefficients settle (`fit_by_simulation`). Instruments enter by
-two-stage least squares (`projected_fit`); `exogeneity_test` says whether least squares is biased.
+Both simulate and fit in turn until coefficients settle (`AbstractSimulationFit`). Instruments
+enter by two-stage least squares (`projected_fit`). `exogeneity_test` says whether least squares is
+biased.
 """
 
+import abc
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
@@ -276,42 +278,6 @@ class SimulationFit(eqx.Module):
         return f"SimulationFit({ended} after {self.steps} simulations{tested}; {self.fit})"
 
 
-def fit_by_simulation(
-    estimator: "InstrumentalVariables | DirectDynamics",
-    network: CSLC,
-    recording: Recording,
-    start: Identification | None,
-    progress: Callable[[str], None] | None,
-) -> SimulationFit:
-    """Simulate and solve in turn until coefficients do not change beyond their errors.
-
-    Arguments and errors are those of `InstrumentalVariables.fit`.
-    """
-    require_float64()
-    settings = (estimator.settings or Settings()).for_network(network)
-    _check(network, recording, settings)
-    report = progress or (lambda words: None)
-    measured = settings.patterns(recording)
-    report("regression on measured motion")
-    least_squares = settings.fit(network, measured)
-    fit, exogeneity = least_squares if start is None else start, None
-    distance, converged, steps = np.zeros(network.joint_count), False, 0
-    while steps < estimator.iterations and not converged:
-        steps += 1
-        report(f"simulation {steps}")
-        k = _possible(network, fit, measured)
-        derivatives = simulated_derivatives(estimator.motion, network, k, recording, settings)
-        simulated = settings.preparation.patterns(recording, derivatives)
-        distance = np.sqrt(np.mean((derivatives[0] - recording.position) ** 2, axis=0))
-        before = np.asarray(fit.k)
-        fit, exogeneity = estimator.solve(network, settings, measured, simulated)
-        error = np.asarray(fit.standard_error)
-        known = np.isfinite(error) & (error > 0.0)
-        change = np.abs(np.asarray(fit.k) - before)
-        converged = bool(np.all((change <= _SAME * error + _STEP_ROUNDING * np.abs(before))[known]))
-    return SimulationFit(network, fit, least_squares, exogeneity, distance, steps, converged)
-
-
 def _possible(network: CSLC, fit: Identification, measured: Patterns) -> np.ndarray:
     """Coefficients to simulate by: those of a fit, or of the nearest bodies that can exist, where
     the fit's mass matrix is that of no body somewhere along the motion."""
@@ -322,7 +288,7 @@ def _possible(network: CSLC, fit: Identification, measured: Patterns) -> np.ndar
 
 
 def _check(network: CSLC, recording: Recording, settings: Settings) -> None:
-    """**Raises** `ValueError` as `InstrumentalVariables.fit`."""
+    """**Raises** `ValueError` as `AbstractSimulationFit.fit`."""
     if network.payload is not None:
         raise ValueError(f"{network.name!r} has a payload; expected a network without one")
     if recording.position.shape[1] != network.joint_count:
@@ -337,7 +303,87 @@ def _check(network: CSLC, recording: Recording, settings: Settings) -> None:
 
 
 @dataclasses.dataclass(frozen=True)
-class InstrumentalVariables:
+class AbstractSimulationFit(abc.ABC):
+    """Estimator that simulates and fits in turn, until coefficients settle.
+
+    **Attributes**
+
+    - `motion`: how the arm is simulated.
+    - `settings`: of preparation and fit; None for the defaults of `Settings`.
+    - `iterations`: simulations at most.
+
+    **Raises** `ValueError`: no iterations.
+    """
+
+    motion: AbstractSimulatedMotion
+    settings: Settings | None = None
+    iterations: int = 10
+
+    def __post_init__(self) -> None:
+        if self.iterations < 1:
+            raise ValueError(f"iterations is {self.iterations}; expected 1 or more")
+
+    @abc.abstractmethod
+    def solve(
+        self, network: CSLC, settings: Settings, measured: Patterns, simulated: Patterns
+    ) -> tuple[Identification, ExogeneityTest | None]:
+        """Return the coefficients of measured and simulated motion, and the test of the former."""
+
+    def fit(
+        self,
+        network: CSLC,
+        recording: Recording,
+        start: Identification | None = None,
+        progress: Callable[[str], None] | None = None,
+    ) -> SimulationFit:
+        """Fit the coefficients of a recording.
+
+        **Arguments**
+
+        - `network`: n joints, p coefficients, with its slopes of static friction; without a
+          payload.
+        - `recording`: sampled uniformly.
+        - `start`: coefficients of the first simulation; by default those of least squares. Where
+          they are of no body that can exist, those of the nearest bodies are simulated.
+        - `progress`: is called with a few words at each stage.
+
+        **Returns** a `SimulationFit`; look at `converged` and `exogeneity`.
+
+        **Raises**
+
+        - `ValueError`: recording and network differ in joints, the network has a payload, times
+          that are not uniform, a loss other than squares, or as `AbstractSimulatedMotion.simulate`.
+        - `RuntimeError`: a fit that fails, or simulated motion that leaves the recorded one.
+        """
+        require_float64()
+        settings = (self.settings or Settings()).for_network(network)
+        _check(network, recording, settings)
+        report = progress or (lambda words: None)
+        measured = settings.patterns(recording)
+        report("regression on measured motion")
+        least_squares = settings.fit(network, measured)
+        fit, exogeneity = least_squares if start is None else start, None
+        distance, converged, steps = np.zeros(network.joint_count), False, 0
+        while steps < self.iterations and not converged:
+            steps += 1
+            report(f"simulation {steps}")
+            k = _possible(network, fit, measured)
+            derivatives = simulated_derivatives(self.motion, network, k, recording, settings)
+            simulated = settings.preparation.patterns(recording, derivatives)
+            distance = np.sqrt(np.mean((derivatives[0] - recording.position) ** 2, axis=0))
+            before = np.asarray(fit.k)
+            fit, exogeneity = self.solve(network, settings, measured, simulated)
+            error = np.asarray(fit.standard_error)
+            known = np.isfinite(error) & (error > 0.0)
+            change = np.abs(np.asarray(fit.k) - before)
+            converged = bool(
+                np.all((change <= _SAME * error + _STEP_ROUNDING * np.abs(before))[known])
+            )
+        return SimulationFit(network, fit, least_squares, exogeneity, distance, steps, converged)
+
+
+@dataclasses.dataclass(frozen=True)
+class InstrumentalVariables(AbstractSimulationFit):
     """Identification by instruments from simulated motion: IDIM-IV.
 
     Noise of positions is in the regressor X and, through it, in the residual: least squares is
@@ -374,39 +420,6 @@ class InstrumentalVariables:
     """
 
     motion: AbstractSimulatedMotion = dataclasses.field(default_factory=CorrectedMotion)
-    settings: Settings | None = None
-    iterations: int = 10
-
-    def __post_init__(self) -> None:
-        check_iterations(self.iterations)
-
-    def fit(
-        self,
-        network: CSLC,
-        recording: Recording,
-        start: Identification | None = None,
-        progress: Callable[[str], None] | None = None,
-    ) -> SimulationFit:
-        """The coefficients of a recording, and a test of whether least squares has a bias.
-
-        **Arguments**
-
-        - `network`: n joints, p coefficients, with its slopes of static friction; without a
-          payload.
-        - `recording`: sampled uniformly.
-        - `start`: coefficients of the first simulation; by default those of least squares. Where
-          they are of no body that can exist, those of the nearest bodies are simulated.
-        - `progress`: is called with a few words at each stage.
-
-        **Returns** a `SimulationFit`; look at `converged` and `exogeneity`.
-
-        **Raises**
-
-        - `ValueError`: recording and network differ in joints, the network has a payload, times
-          that are not uniform, a loss other than squares, or as `AbstractSimulatedMotion.simulate`.
-        - `RuntimeError`: a fit that fails, or simulated motion that leaves the recorded one.
-        """
-        return fit_by_simulation(self, network, recording, start, progress)
 
     def solve(
         self, network: CSLC, settings: Settings, measured: Patterns, simulated: Patterns
@@ -423,14 +436,8 @@ class InstrumentalVariables:
         return result.fit, exogeneity_test(equations, result)
 
 
-def check_iterations(iterations: int) -> None:
-    """**Raises** `ValueError` for fewer than one."""
-    if iterations < 1:
-        raise ValueError(f"iterations is {iterations}; expected 1 or more")
-
-
 @dataclasses.dataclass(frozen=True)
-class DirectDynamics:
+class DirectDynamics(AbstractSimulationFit):
     """Identification from torques alone, by simulated motion: DIDIM.
 
     The simulated arm follows the reference of the recording under its controller; its torque is
@@ -448,7 +455,7 @@ class DirectDynamics:
 
     **Attributes**
 
-    - `motion`: controller and reference of the recording.
+    - `motion`: a `ControlledMotion` with the controller and the reference of the recording.
     - `settings`: alignment of torques, masks and fit; None for the defaults of `Settings`.
     - `iterations`: simulations at most.
 
@@ -469,26 +476,6 @@ class DirectDynamics:
     """
 
     motion: ControlledMotion
-    settings: Settings | None = None
-    iterations: int = 10
-
-    def __post_init__(self) -> None:
-        check_iterations(self.iterations)
-
-    def fit(
-        self,
-        network: CSLC,
-        recording: Recording,
-        start: Identification | None = None,
-        progress: Callable[[str], None] | None = None,
-    ) -> SimulationFit:
-        """The coefficients of a recording's torques.
-
-        **Arguments**, **Raises**: as of `InstrumentalVariables.fit`.
-
-        **Returns** a `SimulationFit` without a test.
-        """
-        return fit_by_simulation(self, network, recording, start, progress)
 
     def solve(
         self, network: CSLC, settings: Settings, measured: Patterns, simulated: Patterns
