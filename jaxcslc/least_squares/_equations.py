@@ -4,9 +4,9 @@
 them. `WeightedEquations` are linear in changes of them.
 """
 
+import dataclasses
 from collections.abc import Collection, Sequence
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -14,8 +14,8 @@ from ..network import AbstractLinearNetwork
 from ..recordings import (
     Patterns,
     decimated_low_pass,
-    decimation_for,
     parallel_filter,
+    samples_kept,
     uniform_interval,
 )
 from ._columns import LONG, HostColumns, columns_of, rows_of
@@ -27,7 +27,8 @@ from ._factors import JointFactors, Unknowns, joined_factors
 _MEMORY = 10.0
 
 
-class Equations(eqx.Module):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Equations:
     """Equations of a recording in the columns of each joint, and where in it they belong.
 
     **Attributes**
@@ -37,7 +38,7 @@ class Equations(eqx.Module):
     - `sample`: for each joint, the sample that each row belongs to.
     """
 
-    unknowns: Unknowns = eqx.field(static=True)
+    unknowns: Unknowns
     rows: tuple[Float[np.ndarray, "_ _"], ...]
     sample: tuple[Int[np.ndarray, " _"], ...]
 
@@ -87,12 +88,7 @@ class Equations(eqx.Module):
                 rows.append(sides.T)
             else:
                 filtered = parallel_filter(
-                    joint_columns.T[:, None],
-                    right[:, None],
-                    counts[:, None],
-                    interval=interval,
-                    cutoff=cutoff,
-                    kept=kept,
+                    joint_columns, right, counts, interval=interval, cutoff=cutoff, kept=kept
                 )
                 rows.append(np.column_stack([filtered.regressor, filtered.torque]))
                 sample = filtered.sample
@@ -236,11 +232,8 @@ def equations_of(
         columns = columns_of(network, patterns) if columns is None else columns
         return Equations.of_columns(unknowns, columns, torque, mask, time=time, cutoff=cutoff)
     interval = uniform_interval(time)
-    reach, decimation = (
-        int(np.ceil(_MEMORY / (cutoff * interval))),
-        decimation_for(cutoff, interval),
-    )
-    kept = np.arange((samples - 1) % decimation // 2, samples, decimation)
+    reach = int(np.ceil(_MEMORY / (cutoff * interval)))
+    kept = samples_kept(samples, cutoff, interval)
     inside = max(LONG - 2 * reach, 2 * reach)
     joined: Equations | None = None
     for first in range(0, samples, inside):

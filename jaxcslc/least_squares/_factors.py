@@ -6,9 +6,8 @@
 import dataclasses
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -66,7 +65,7 @@ class Unknowns:
         )
 
 
-class JointFactors(eqx.Module):
+class JointFactors(NamedTuple):
     """Triangular factors of a least-squares fit: one triangle per joint for any number of patterns.
 
     Joint j's equations, regressor columns beside torque, are Q_j [R_j c_j; 0 r_j] with

@@ -30,6 +30,7 @@ from ._low_pass import (
     decimated_low_pass as decimated_low_pass,
     decimation_for as decimation_for,
     parallel_filter as parallel_filter,
+    samples_kept as samples_kept,
     zero_phase as zero_phase,
 )
 from ._masks import (

@@ -7,7 +7,6 @@ decimation. Both sides of an equation may be filtered, since it is linear in the
 from functools import lru_cache
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -254,33 +253,19 @@ def _impulse_response(order: int, cutoff: float) -> Float[np.ndarray, " lags"]:
     return response
 
 
-class FilteredEquations(eqx.Module):
-    """Equations `regressor @ k = torque`, low-pass filtered on both sides and decimated.
+class FilteredEquations(NamedTuple):
+    """Equations `regressor @ k = torque` of one joint, low-pass filtered on both sides, decimated.
 
     **Attributes**
 
     - `regressor`: shape `(equations, coefficients)`.
     - `torque`: shape `(equations,)` [N m or N].
-    - `joint`: which joint each equation is of, counted from 0, shape `(equations,)`.
     - `sample`: at which sample its filter is centred, shape `(equations,)`.
-    - `weight`: how much of its filter lay on pairs that count, shape `(equations,)`; near 1
-        where all did.
-
-    >>> import numpy as np
-    >>> from jaxcslc.recordings import parallel_filter
-    >>> ones = np.ones((200, 1))
-    >>> equations = parallel_filter(
-    ...     ones[..., None], 3 * ones, ones == 1, interval=0.01, cutoff=5.0
-    ... )
-    >>> equations.torque.shape, equations.torque[0].round(9)
-    ((20,), np.float64(3.0))
     """
 
     regressor: Float[np.ndarray, "equations coefficients"]
     torque: Float[np.ndarray, " equations"]
-    joint: Int[np.ndarray, " equations"]
     sample: Int[np.ndarray, " equations"]
-    weight: Float[np.ndarray, " equations"]
 
 
 def decimation_for(cutoff: float, interval: float) -> int:
@@ -305,91 +290,68 @@ def decimation_for(cutoff: float, interval: float) -> int:
     return max(1, int(np.floor(0.5 / (cutoff * interval) + 1e-9)))
 
 
+def samples_kept(samples: int, cutoff: float, interval: float) -> Int[np.ndarray, " kept"]:
+    """Return the samples that `decimation_for` keeps, both ends of a record treated alike."""
+    decimation = decimation_for(cutoff, interval)
+    return np.arange((samples - 1) % decimation // 2, samples, decimation)
+
+
+# An equation is dropped of which less than this part of the filter lies on samples that count. The
+# choice looks at the mask alone, never at the data.
+_LEAST_WEIGHT = 0.05
+
+
 def parallel_filter(
-    regressor: Float[np.ndarray, "samples joints coefficients"],
-    torque: Float[np.ndarray, "samples joints"],
-    mask: Bool[np.ndarray, "samples joints"],
+    columns: Float[np.ndarray, "coefficients samples"],
+    torque: Float[np.ndarray, " samples"],
+    mask: Bool[np.ndarray, " samples"],
     *,
     interval: float,
     cutoff: float,
-    order: int = 4,
-    decimation: int | None = None,
     kept: Int[np.ndarray, " kept"] | None = None,
-    least_weight: float = 0.05,
 ) -> FilteredEquations:
-    """Filter every column of the regressor and the torque alike, and decimate.
+    """Filter every column of a joint's regressor and its torque alike, and decimate.
 
     The equation of a joint is linear in the coefficients at every instant, so any linear filter
     over time of all its terms makes another true equation. A low pass takes the noise above the
     motion out of both sides without the distortion that filtering one of them would bring
     (the 'parallel filtering' of Gautier, ICRA 1997, doi:10.1109/ROBOT.1997.606768).
 
-    Pairs of joint and sample that do not count are set to zero on both sides before: 0 = 0 is as
-    true an equation, and what is left of the neighbours stays theirs.
+    Samples that do not count are set to zero on both sides before: 0 = 0 is as true an equation,
+    and what is left of the neighbours stays theirs.
 
     **Arguments**
 
-    - `regressor`: shape `(samples, joints, coefficients)`.
-    - `torque`: shape `(samples, joints)` [N m or N].
-    - `mask`: which pairs count, shape `(samples, joints)`.
+    - `columns`: of the regressor, shape `(coefficients, samples)`.
+    - `torque`: shape `(samples,)` [N m or N].
+    - `mask`: which samples count, shape `(samples,)`.
     - `interval`: between the samples, uniform [s].
     - `cutoff`: of the filter [Hz]. A little above the fastest motion; below the pass band of
         the smoothing that gave the accelerations, or it has nothing left to do.
-    - `order`: of one of the filter's two passes.
-    - `decimation`: keep every so many samples; by default `decimation_for(cutoff, interval)`.
-    - `kept`: the samples to keep, in place of every so many.
-    - `least_weight`: drop an equation of which less than this part of the filter lay on pairs
-        that count. The choice looks at the mask alone, never at the data.
+    - `kept`: the samples to keep; by default those of `decimation_for(cutoff, interval)`.
 
-    **Returns**
-
-    The equations that are left, joint by joint. There are none where nothing counts.
+    **Returns** the equations that are left. There are none where nothing counts.
 
     **Raises**
 
-    - `ValueError`: a decimation below 1, or a cut-off that the sampling rate does not allow.
+    - `ValueError`: a cut-off that the sampling rate does not allow.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import parallel_filter
     >>> time = np.arange(500) * 0.01
-    >>> regressor = np.stack([np.sin(time), np.cos(3 * time)], axis=1)[:, None, :]
-    >>> torque = regressor @ np.array([2.0, -1.0])
-    >>> mask = np.abs(np.sin(time))[:, None] > 0.1
-    >>> equations = parallel_filter(regressor, torque, mask, interval=0.01, cutoff=5.0)
+    >>> columns = np.stack([np.sin(time), np.cos(3 * time)])
+    >>> torque, mask = np.array([2.0, -1.0]) @ columns, np.abs(np.sin(time)) > 0.1
+    >>> equations = parallel_filter(columns, torque, mask, interval=0.01, cutoff=5.0)
     >>> np.linalg.lstsq(equations.regressor, equations.torque)[0].round(9).tolist()
     [2.0, -1.0]
     """
-    if decimation is None:
-        decimation = decimation_for(cutoff, interval)
-    if decimation < 1:
-        raise ValueError(f"decimation is {decimation}; expected 1 or more samples")
-    samples, joints, coefficients = regressor.shape
-    # Start in the middle of the first so many, so that the two ends are treated alike.
-    every = np.arange((samples - 1) % decimation // 2, samples, decimation)
-    kept = every if kept is None else kept
-
-    regressors: list[Float[np.ndarray, "rows coefficients"]] = []
-    columns: list[tuple[np.ndarray, int, np.ndarray, np.ndarray]] = []
-    for joint in range(joints):
-        valid = mask[:, joint]
-        # Torque and mask are filtered like columns of the regressor.
-        sides = np.zeros((coefficients + 2, samples))
-        np.copyto(sides[:-2], regressor[:, joint].T, where=valid)
-        np.copyto(sides[-2], torque[:, joint], where=valid)
-        sides[-1] = valid
-        # Empty columns, of coefficients that have no part in this joint, are not worth a filter.
-        present = np.flatnonzero(np.any(sides, axis=1))
-        sides = sides if present.size == len(sides) else sides[present]
-        filtered = np.zeros((coefficients + 2, kept.size))
-        filtered[present] = decimated_low_pass(sides, kept, interval, cutoff=cutoff, order=order)
-        enough = filtered[-1] >= least_weight
-        remaining = filtered[:, enough]
-        regressors.append(remaining[:-2].T)
-        columns.append((remaining[-2], joint, kept[enough], remaining[-1]))
-    return FilteredEquations(
-        regressor=np.concatenate(regressors),
-        torque=np.concatenate([rows for rows, *_ in columns]),
-        joint=np.concatenate([np.full(rows.size, joint) for rows, joint, *_ in columns]),
-        sample=np.concatenate([sample for *_, sample, _ in columns]),
-        weight=np.concatenate([weight for *_, weight in columns]),
-    )
+    if kept is None:
+        kept = samples_kept(len(torque), cutoff, interval)
+    # Torque and mask are filtered like columns of the regressor.
+    sides = np.where(mask, np.vstack([columns, torque, mask]), 0.0)
+    # Empty columns, of coefficients that have no part in this joint, are not worth a filter.
+    present = np.any(sides, axis=1)
+    filtered = np.zeros((len(sides), kept.size))
+    filtered[present] = decimated_low_pass(sides[present], kept, interval, cutoff=cutoff)
+    enough = filtered[-1] >= _LEAST_WEIGHT
+    return FilteredEquations(filtered[:-2, enough].T, filtered[-2, enough], kept[enough])

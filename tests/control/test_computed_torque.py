@@ -11,6 +11,7 @@ from jaxtyping import Array
 import jaxcslc as jc
 import sim
 from jaxcslc.control import COMPENSATIONS, ComputedTorque, Reference, error_gains, smooth_friction
+from tests import arms
 from tests.control.conftest import SmallArm
 
 
@@ -179,8 +180,7 @@ def test_friction_has_no_jump_at_rest(puma: jc.CSLC, puma_k: Array) -> None:
 
 def test_smooth_friction_of_coupled_joints() -> None:
     """A joint at rest beside one that moves: each one's speed is blunted by itself."""
-    arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), ("pi/2", 0, 0, 0)])
-    network = jc.derive(arm.with_friction("viscous").with_coupling((1, 2)), lengths="numeric")
+    network = arms.coupled_arm("viscous")
     index = network.names.index("kcv1_2")
     k = jnp.zeros(network.size).at[index].set(1.0)
     qd, width = np.array([1.0, 0.0]), np.full(2, 0.1)

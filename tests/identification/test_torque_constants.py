@@ -9,7 +9,6 @@ import pytest
 import jaxcslc as jc
 from jaxcslc.identification import fit_torque_constants, identify_torque_constants
 from jaxcslc.least_squares import LeastSquares
-from tests import arms
 from tests.conftest import run
 
 
@@ -22,7 +21,9 @@ SAMPLES = 600
 
 @pytest.fixture(scope="module")
 def network() -> jc.CSLC:
-    return arms.elbow().with_payload()
+    rows = [(0, 0, 0, 0), ("pi/2", 0.4, 0, 0)]
+    robot = jc.Manipulator.from_modified_dh(rows, gravity=(0, -9.81, 0))
+    return jc.derive(robot, lengths="numeric").with_payload()
 
 
 @pytest.fixture(scope="module")

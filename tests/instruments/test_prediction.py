@@ -206,7 +206,8 @@ class TestHorizon:
 
     def test_the_distance_of_the_last_frame(self) -> None:
         """Joint 2, half a metre from joint 1's axis, is off by the chord of joint 1's error."""
-        network = arms.planar_arm()
+        robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.5, 0, 0)])
+        network = jc.derive(robot, lengths="numeric")
         link = jc.manipulator.LinkParameters(1.0, np.array([0.2, 0.0, 0.0]), 0.02 * np.eye(3))
         k = np.array(network.coefficients_from([link, link], viscous=[1.0, 1.0], dry=[0.0, 0.0]))
         t = 0.01 * np.arange(300)[:, None]

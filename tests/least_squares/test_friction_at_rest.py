@@ -133,7 +133,8 @@ def test_every_transform_agrees(arm: tuple[jc.CSLC, np.ndarray], rng: np.random.
 
 def test_states_of_pre_sliding_are_left_alone(rng: np.random.Generator) -> None:
     """A joint with a length keeps what its state says, the other one half at the end."""
-    network = arms.planar_arm("dry")
+    robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0), (0, 0.4, 0, 0)], gravity=(0, 0, -9.81))
+    network = jc.derive(robot.with_friction("dry"), lengths="numeric")
     patterns = patterns_of(rng.normal(size=(SAMPLES, 2)), rng)
     k, lengths = np.asarray(jc.LeastSquares().fit(network, patterns).k), np.array([0.01, 0.0])
     # Half a swing, and rest.

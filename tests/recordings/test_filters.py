@@ -9,6 +9,7 @@ from jaxcslc.recordings import (
     CentralDifferences,
     Recording,
     RecordingError,
+    decimated_low_pass,
     decimation_for,
     parallel_filter,
     resample,
@@ -172,55 +173,59 @@ def test_filtered_equations_are_true(
     regressor, torque, mask, truth = equations
     # What a masked pair says must not matter.
     torque = np.where(mask, torque, 1e3)
-    filtered = parallel_filter(regressor, torque, mask, interval=INTERVAL, cutoff=cutoff)
-    assert filtered.regressor.shape == (filtered.torque.size, 4)
-    np.testing.assert_allclose(filtered.regressor @ truth, filtered.torque, atol=1e-10)
+    for joint in range(2):
+        filtered = parallel_filter(
+            regressor[:, joint].T,
+            torque[:, joint],
+            mask[:, joint],
+            interval=INTERVAL,
+            cutoff=cutoff,
+        )
+        assert filtered.regressor.shape == (filtered.torque.size, 4)
+        np.testing.assert_allclose(filtered.regressor @ truth, filtered.torque, atol=1e-10)
 
 
 def test_every_column_goes_through_the_same_filter(
     equations: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
     regressor, torque, _, _ = equations
-    all_count = np.ones(torque.shape, dtype=bool)
-    filtered = parallel_filter(
-        regressor, torque, all_count, interval=INTERVAL, cutoff=12.0, decimation=1
-    )
+    all_count, every = np.ones(2000, dtype=bool), np.arange(2000)
     for joint in range(2):
-        rows = filtered.joint == joint
-        assert filtered.sample[rows].tolist() == list(range(2000))
-        expected = zero_phase(regressor[:, joint], INTERVAL, cutoff=12.0)
-        assert np.ptp(filtered.regressor[rows] - expected) < AT_THE_ENDS
-        inside = slice(400, -400)
-        np.testing.assert_allclose(
-            filtered.regressor[rows][inside], expected[inside], atol=FORGOTTEN
+        columns, right = regressor[:, joint].T, torque[:, joint]
+        filtered = parallel_filter(
+            columns, right, all_count, interval=INTERVAL, cutoff=12.0, kept=every
         )
-    np.testing.assert_allclose(filtered.weight, 1.0, atol=1e-9)
+        assert filtered.sample.tolist() == every.tolist()
+        expected = zero_phase(regressor[:, joint], INTERVAL, cutoff=12.0)
+        assert np.ptp(filtered.regressor - expected) < AT_THE_ENDS
+        inside = slice(400, -400)
+        np.testing.assert_allclose(filtered.regressor[inside], expected[inside], atol=FORGOTTEN)
 
 
 def test_equations_far_from_what_counts_are_dropped(
     equations: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
     regressor, torque, _, _ = equations
-    mask = np.zeros(torque.shape, dtype=bool)
-    mask[500:900, 0] = True
-    filtered = parallel_filter(regressor, torque, mask, interval=INTERVAL, cutoff=10.0)
-    assert np.all(filtered.joint == 0)
+    mask = np.zeros(2000, dtype=bool)
+    mask[500:900] = True
+    joint = regressor[:, 0].T, torque[:, 0]
+    filtered = parallel_filter(*joint, mask, interval=INTERVAL, cutoff=10.0)
     assert np.all((filtered.sample > 480) & (filtered.sample < 920))
-    assert np.all(filtered.weight >= 0.05)
+    # The share of each filter that lies on samples that count is that of a column of ones.
+    (shares,) = decimated_low_pass(1.0 * mask[None], filtered.sample, INTERVAL, cutoff=10.0)
+    assert np.all(shares >= 0.05 - 1e-12)
     assert filtered.torque.size == pytest.approx(400 / 25, abs=2)
-    nothing = parallel_filter(
-        regressor, torque, np.zeros_like(mask), interval=INTERVAL, cutoff=10.0
-    )
+    nothing = parallel_filter(*joint, np.zeros_like(mask), interval=INTERVAL, cutoff=10.0)
     assert nothing.regressor.shape == (0, 4)
-    assert nothing.torque.shape == nothing.joint.shape == nothing.sample.shape == (0,)
+    assert nothing.torque.shape == nothing.sample.shape == (0,)
 
 
 def test_decimated_noise_is_as_good_as_white(rng: np.random.Generator) -> None:
     samples = 400_000
     filtered = parallel_filter(
-        np.zeros((samples, 1, 1)),
-        rng.standard_normal((samples, 1)),
-        np.ones((samples, 1), dtype=bool),
+        np.zeros((1, samples)),
+        rng.standard_normal(samples),
+        np.ones(samples, dtype=bool),
         interval=INTERVAL,
         cutoff=20.0,
     )
@@ -234,15 +239,6 @@ def test_decimation_follows_from_the_cutoff() -> None:
     assert decimation_for(20.0, 0.002) == 12
     assert decimation_for(25.0, 0.002) == 10
     assert decimation_for(249.0, 0.002) == 1
-    with pytest.raises(ValueError, match="decimation is 0"):
-        parallel_filter(
-            np.zeros((99, 1, 1)),
-            np.zeros((99, 1)),
-            np.ones((99, 1), dtype=bool),
-            interval=0.01,
-            cutoff=5.0,
-            decimation=0,
-        )
 
 
 def test_a_wrong_time_stamp_is_refused_before_anything_is_filled_in() -> None:

@@ -153,15 +153,12 @@ def test_missing_terms_against_dense_least_squares(
 
     equations = settings.solver.equations(arm, patterns)
     rows, sample = equations.rows[0], equations.sample[0]
-    ones = np.ones((patterns.samples, 1, 1))
-    every = np.ones((patterns.samples, 1), bool)
+    ones, every = np.ones((1, patterns.samples)), np.ones(patterns.samples, bool)
+    offset = ones.T
     if cutoff is not None:
-        filtered = jc.recordings.parallel_filter(
-            ones, ones[:, 0], every, interval=INTERVAL, cutoff=cutoff
-        )
-        offset = filtered.regressor
-    else:
-        offset = ones[:, 0]
+        offset = jc.recordings.parallel_filter(
+            ones, ones[0], every, interval=INTERVAL, cutoff=cutoff
+        ).regressor
 
     def further(kept: np.ndarray) -> float:
         wide = np.concatenate([rows[kept, :-1], offset[kept]], axis=1)
