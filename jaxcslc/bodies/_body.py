@@ -14,6 +14,11 @@ from ..manipulator import LinkInertia, LinkParameters
 
 
 _ENTRY = {name: index for index, name in enumerate(BODY)}
+# Of the ten numbers: products of inertia, first moments and mass, behind moments of inertia.
+_PRODUCTS, MOMENT, MASS = slice(3, 6), slice(6, 9), 9
+ENTRIES = 16
+"""Entries of a pseudo-inertia, a matrix of 4 x 4."""
+
 _AXES = "xyz"
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 # The linear map exists for every network; this much of its largest entry is rounding.
@@ -32,7 +37,7 @@ def body_of(link: LinkParameters) -> Float[np.ndarray, "10"]:
 
 def link_of(body: Float[np.ndarray, "10"], motor_inertia: float = 0.0) -> LinkParameters:
     """The link of a body of positive mass: the inverse of `body_of`."""
-    mass, centre = float(body[9]), body[6:9] / body[9]
+    mass, centre = float(body[MASS]), body[MOMENT] / body[MASS]
     tensor = central_tensor(body)
     return LinkParameters(mass, centre, (tensor + tensor.T) / 2, motor_inertia)
 
@@ -40,10 +45,10 @@ def link_of(body: Float[np.ndarray, "10"], motor_inertia: float = 0.0) -> LinkPa
 def central_tensor(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "3 3"]:
     """Inertia tensor at the centre of gravity, of a body of positive mass."""
     tensor = np.diag(body[:3])
-    for value, (a, b) in zip(body[3:6], _PAIRS, strict=True):
+    for value, (a, b) in zip(body[_PRODUCTS], _PAIRS, strict=True):
         tensor[a, b] = tensor[b, a] = value
-    moment = body[6:9]
-    return tensor - (moment @ moment * np.eye(3) - np.outer(moment, moment)) / body[9]
+    moment = body[MOMENT]
+    return tensor - (moment @ moment * np.eye(3) - np.outer(moment, moment)) / body[MASS]
 
 
 def pseudo_inertia(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "4 4"]:
@@ -54,10 +59,10 @@ def pseudo_inertia(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "4 4"]:
     """
     matrix = np.zeros((4, 4))
     matrix[:3, :3] = np.diag(np.sum(body[:3]) / 2 - body[:3])
-    for value, (a, b) in zip(body[3:6], _PAIRS, strict=True):
+    for value, (a, b) in zip(body[_PRODUCTS], _PAIRS, strict=True):
         matrix[a, b] = matrix[b, a] = -value
-    matrix[:3, 3] = matrix[3, :3] = body[6:9]
-    matrix[3, 3] = body[9]
+    matrix[:3, 3] = matrix[3, :3] = body[MOMENT]
+    matrix[3, 3] = body[MASS]
     return matrix
 
 

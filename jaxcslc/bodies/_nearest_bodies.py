@@ -18,6 +18,9 @@ from .._rank import numerical_rank
 from ..manipulator import Joint, LinkParameters, Manipulator
 from ..network import CSLC
 from ._body import (
+    ENTRIES,
+    MASS,
+    MOMENT,
     bodies_of,
     body_map,
     body_of_pseudo_inertia,
@@ -113,21 +116,21 @@ def semidefinite_least_squares(
     size = span.shape[1]
     inverse = solve_triangular(triangle[:size, :size], np.eye(size))
     free = origin + span @ (inverse @ triangle[:size, size])
-    lowest = np.min(np.linalg.eigvalsh(free[: 16 * bodies].reshape(-1, 4, 4)))
+    lowest = np.min(np.linalg.eigvalsh(free[: ENTRIES * bodies].reshape(-1, 4, 4)))
     within = above is None or limits is None or bool(np.all(above @ free >= limits))
-    if lowest >= least and np.all(free[16 * bodies :][bounded > 0] >= 0) and within:
+    if lowest >= least and np.all(free[ENTRIES * bodies :][bounded > 0] >= 0) and within:
         return free, True
 
     # From there, in steps that cost alike: what the data fix moves the bodies little. In the
     # unknowns themselves the condition number would be that of the data.
     steps = span @ inverse
-    others = 16 * bodies + np.flatnonzero(bounded)
+    others = ENTRIES * bodies + np.flatnonzero(bounded)
     slopes, starts = [steps[others]], [free[others]]
     if above is not None and limits is not None:
         slopes.append(above @ steps)
         starts.append(above @ free - limits)
     for body in range(bodies):
-        entries = 16 * body + np.array([4 * a + b for a, b in _UPPER])
+        entries = ENTRIES * body + np.array([4 * a + b for a, b in _UPPER])
         slopes.append(_TRIANGLE[:, None] * steps[entries])
         starts.append(_TRIANGLE * (free[entries] - least * _DIAGONAL))
     inequalities = sum(map(len, slopes)) - len(_UPPER) * bodies
@@ -172,12 +175,12 @@ def _conic_solver() -> Any:
 
 def _expansion(bodies: int, others: int) -> Float[np.ndarray, "unknowns independent"]:
     """Return the matrix from ten independent entries of each symmetric matrix to all sixteen."""
-    expand = np.zeros((16 * bodies + others, 10 * bodies + others))
+    expand = np.zeros((ENTRIES * bodies + others, 10 * bodies + others))
     for body in range(bodies):
         for entry, (a, b) in enumerate(_UPPER):
-            expand[16 * body + 4 * a + b, 10 * body + entry] = 1.0
-            expand[16 * body + 4 * b + a, 10 * body + entry] = 1.0
-    expand[16 * bodies :, 10 * bodies :] = np.eye(others)
+            expand[ENTRIES * body + 4 * a + b, 10 * body + entry] = 1.0
+            expand[ENTRIES * body + 4 * b + a, 10 * body + entry] = 1.0
+    expand[ENTRIES * bodies :, 10 * bodies :] = np.eye(others)
     return expand
 
 
@@ -195,6 +198,9 @@ def _solutions(
     return right[:rank].T @ ((left.T @ values)[:rank] / sizes[:rank]), right[rank:].T
 
 
+# A solid ball's spread of mass along an axis is its mass times its squared radius, over this; its
+# moment of inertia is the spread along two axes.
+_BALL = 5.0
 # Of aluminium [kg/m³]: how large the ball is that a body of unknown shape is compared with.
 _DENSITY = 2700.0
 _LIGHTEST = 1e-3  # kg
@@ -255,9 +261,9 @@ def nearest_body(
     estimate = _Estimate(body, covariance, undetermined)
     white = whitening(estimate, np.linalg.norm(unit, axis=1))
     solution, _ = semidefinite_least_squares(
-        np.concatenate([white @ unit, _WEIGHT * np.eye(16)]),
+        np.concatenate([white @ unit, _WEIGHT * np.eye(ENTRIES)]),
         np.concatenate([white @ body, _WEIGHT * np.eye(4).ravel()]),
-        np.zeros((0, 16)),
+        np.zeros((0, ENTRIES)),
         np.zeros(0),
         bodies=1,
         bounded=np.zeros(0),
@@ -273,7 +279,7 @@ def in_units_of(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "10 16"]:
     """
     scale = np.linalg.cholesky(pseudo_inertia(body))
     columns: list[np.ndarray] = []
-    for entry in np.eye(16):
+    for entry in np.eye(ENTRIES):
         matrix = scale @ entry.reshape(4, 4) @ scale.T
         columns.append(body_of_pseudo_inertia((matrix + matrix.T) / 2))
     return np.stack(columns, axis=1)
@@ -296,15 +302,15 @@ def _ball(
     if open_.size:
         basis = np.linalg.svd(open_, full_matrices=False)[2][: numerical_rank(open_.T)]
         scaled = scaled - basis.T @ (basis @ scaled)
-    moment = _SIZES[6:9] * scaled[6:9]
+    moment = _SIZES[MOMENT] * scaled[MOMENT]
     mass = max(
-        float(_SIZES[9] * scaled[9]),
-        float(_SIZES[9] * min(error[9], 1.0)),
+        float(_SIZES[MASS] * scaled[MASS]),
+        float(_SIZES[MASS] * min(error[MASS], 1.0)),
         float(np.linalg.norm(moment)) / _FARTHEST,
         _LIGHTEST,
     )
     radius = (3.0 * mass / (4.0 * np.pi * _DENSITY)) ** (1.0 / 3.0)
-    return principal_body(mass, moment / mass, np.full(3, mass * radius**2 / 5.0))
+    return principal_body(mass, moment / mass, np.full(3, mass * radius**2 / _BALL))
 
 
 # A ball is at least this part of the robot's reach in radius, and no smaller than this [m].
@@ -349,7 +355,7 @@ def balls(robot: Manipulator, mass: float) -> tuple[LinkParameters, ...]:
         radius = max(float(np.linalg.norm(end)) / 2, _SMALLEST_PART * reach, _SMALLEST_RADIUS)
         zero = np.array([f"r{axis}" in inertia.zero for axis in "xyz"])
         centre = np.where(zero, 0.0, end / 2)
-        links.append(LinkParameters(mass, centre, 0.4 * mass * radius**2 * np.eye(3)))
+        links.append(LinkParameters(mass, centre, 2.0 / _BALL * mass * radius**2 * np.eye(3)))
     return tuple(links)
 
 
@@ -379,7 +385,7 @@ def prior_of(
     motors = np.array([float(link.motor_inertia) for link in links])
     # A light link's motor may be heavy: it is of the machine's size, as the lenders are.
     largest = np.maximum(possible, lenders)
-    link_scales = np.where([kind == "R" for kind in robot.kinds], largest[:, 2], largest[:, 9])
+    link_scales = np.where([kind == "R" for kind in robot.kinds], largest[:, 2], largest[:, MASS])
     return PriorBodies(possible, motors, np.where(motors > 0, motors, link_scales))
 
 
@@ -406,11 +412,11 @@ def _possible_principal(
 
     Its mass, and its spread along each axis, are kept from zero.
     """
-    mass = max(float(body[9]), _FILL * float(lender[9]))
-    centre = body[6:9] / mass
-    moments = np.diag(central_tensor(body)) if body[9] > 0 else body[:3]
+    mass = max(float(body[MASS]), _FILL * float(lender[MASS]))
+    centre = body[MOMENT] / mass
+    moments = np.diag(central_tensor(body)) if body[MASS] > 0 else body[:3]
     spread = np.sum(moments) / 2 - moments
-    some = _FILL * mass / lender[9] * np.diag(pseudo_inertia(lender))[:3]
+    some = _FILL * mass / lender[MASS] * np.diag(pseudo_inertia(lender))[:3]
     spread = np.maximum(spread, _FILL * np.maximum(np.max(spread), some))
     return principal_body(mass, centre, spread)
 
@@ -587,12 +593,12 @@ class NearestBodies:
         for i, (inertia, unit) in enumerate(zip(self.robot.inertia, units, strict=True)):
             for form in constraints_of(inertia):
                 row = np.zeros(matrix.shape[1])
-                row[16 * i : 16 * (i + 1)] = form @ unit
+                row[ENTRIES * i : ENTRIES * (i + 1)] = form @ unit
                 size = np.linalg.norm(row)
                 rows.append(row / size)
                 values.append(float(-form @ self.fixed[i] / size))
         known = self._linear_knowledge(units)
-        weights = np.concatenate([np.full(16 * count, self.weight), self._other_weights])
+        weights = np.concatenate([np.full(ENTRIES * count, self.weight), self._other_weights])
         solution, converged = semidefinite_least_squares(
             np.concatenate([matrix, np.diag(weights), known.soft]),
             np.concatenate([self.whitening @ (self.k - of_fixed), weights * wanted, known.target]),
@@ -606,8 +612,9 @@ class NearestBodies:
         )
         if solution is None:
             return None
-        bodies = [unit @ solution[16 * i : 16 * (i + 1)] for i, unit in enumerate(units)]
-        return Optimum(np.stack(bodies), solution[16 * count :], converged)
+        in_units, others = np.split(solution, [ENTRIES * count])
+        bodies = np.einsum("lnu,lu->ln", units, in_units.reshape(count, ENTRIES))
+        return Optimum(bodies, others, converged)
 
     def _linear_knowledge(self, units: Sequence[Float[np.ndarray, "10 16"]]) -> LinearKnowledge:
         """Return the knowledge of parameters in the programme's unknowns."""
@@ -616,21 +623,21 @@ class NearestBodies:
         motors = [i for i, inertia in enumerate(self.robot.inertia) if inertia.motor]
 
         def row_of(entry: LinkKnowledge, value: float) -> Float[np.ndarray, " unknowns"]:
-            row = np.zeros(16 * count + len(self.others) + 1)
+            row = np.zeros(ENTRIES * count + len(self.others) + 1)
             if entry.parameter == "motor_inertia":
                 index = motors.index(entry.link)
-                row[16 * count + index], row[-1] = self.scales[index], -value
+                row[ENTRIES * count + index], row[-1] = self.scales[index], -value
                 return row
-            form = np.eye(10)[9]
+            form = np.eye(10)[MASS]
             if entry.parameter == "mass":
                 row[-1] = -value
             else:
                 form = body_form(entry.parameter, value, placements[entry.link])
-            row[16 * entry.link : 16 * (entry.link + 1)] = form @ units[entry.link]
+            row[ENTRIES * entry.link : ENTRIES * (entry.link + 1)] = form @ units[entry.link]
             return row
 
-        masses = self.prior.bodies[:, 9]
-        return linear_knowledge(self.knowledge, row_of, masses, 16 * count + len(self.others))
+        masses = self.prior.bodies[:, MASS]
+        return linear_knowledge(self.knowledge, row_of, masses, ENTRIES * count + len(self.others))
 
     def _in_charts(self, least: float) -> Optimum:
         if np.any(self.fixed):

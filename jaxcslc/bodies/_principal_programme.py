@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..manipulator import LinkInertia
-from ._body import body_of_pseudo_inertia, central_tensor, pseudo_inertia
+from ._body import ENTRIES, MASS, MOMENT, body_of_pseudo_inertia, central_tensor, pseudo_inertia
 
 
 _TOLERANCE = 1e-10
@@ -100,7 +100,7 @@ class BodyChart:
     @cached_property
     def radius(self) -> float:
         """Radius of gyration: unit of the coordinates of a centre."""
-        return float(np.sqrt(np.sum(self._prior_spread) / self.prior[9]))
+        return float(np.sqrt(np.sum(self._prior_spread) / self.prior[MASS]))
 
     def _lower(self, z: Float[np.ndarray, " coordinates"]) -> Float[np.ndarray, "4 4"]:
         lower = np.zeros((4, 4))
@@ -114,7 +114,9 @@ class BodyChart:
 
 
 # What multiplies the sixteen entries of a pseudo-inertia in its ten numbers.
-_NUMBERS = np.stack([body_of_pseudo_inertia(unit.reshape(4, 4)) for unit in np.eye(16)], axis=1)
+_NUMBERS = np.stack(
+    [body_of_pseudo_inertia(unit.reshape(4, 4)) for unit in np.eye(ENTRIES)], axis=1
+)
 _MOST = 7  # coordinates of a chart with principal axes
 
 
@@ -138,8 +140,8 @@ class _Charts:
         self._from = np.array(
             [j for i in self._principal for j in range(edges[i], edges[i + 1])], int
         )
-        self._mass = np.array([c.prior[9] for c in principal])
-        self._centre = np.array([c.prior[6:9] / c.prior[9] for c in principal]).reshape(-1, 3)
+        self._mass = np.array([c.prior[MASS] for c in principal])
+        self._centre = np.array([c.prior[MOMENT] / c.prior[MASS] for c in principal]).reshape(-1, 3)
         self._radius = np.array([c.radius for c in principal])
         self._by_spread = np.zeros((len(principal), 10, 3))
         for of_link, c in zip(self._by_spread, principal, strict=True):
@@ -149,7 +151,7 @@ class _Charts:
         """Ten numbers of each body; unknowns behind the coordinates are not used."""
         bodies = np.empty((len(self.charts), 10))
         mass, full, spread = self._of_principal(z)
-        outer = (full[:, :, None] * full[:, None, :]).reshape(-1, 16)
+        outer = (full[:, :, None] * full[:, None, :]).reshape(-1, ENTRIES)
         bodies[self._principal] = (self._by_spread @ spread[:, :, None])[:, :, 0]
         bodies[self._principal] += mass[:, None] * (outer @ _NUMBERS.T)
         for i in self._full:
@@ -167,7 +169,7 @@ class _Charts:
         for axis in range(3):
             by_entry[:, 1 + axis, axis] += moved
             by_entry[:, 1 + axis, :, axis] += moved
-        numbers = by_entry.reshape(-1, _MOST, 16) @ _NUMBERS.T
+        numbers = by_entry.reshape(-1, _MOST, ENTRIES) @ _NUMBERS.T
         numbers[:, 4:] = np.swapaxes(self._by_spread, 1, 2)
         columns = np.empty((of_bodies.shape[1], self.size))
         products = of_bodies[self._principal] @ np.swapaxes(numbers, 1, 2)

@@ -21,6 +21,7 @@ from .._toml_document import toml_document
 from ..least_squares import RESULTS, FoldFit, Identification
 from ..manipulator import Manipulator
 from ..network import AbstractLinearNetwork
+from ._body import MASS, MOMENT
 
 
 KNOWN_PARAMETERS = ("mass", "rx", "ry", "rz", "motor_inertia")
@@ -159,8 +160,8 @@ def body_form(
     rotation, origin = placement[:3, :3], placement[:3, 3]
     form = np.zeros(10)
     # The first moment in the other frame is Rᵀ(h - m p).
-    form[6:9] = rotation[:, axis]
-    form[9] = -rotation[:, axis] @ origin - value
+    form[MOMENT] = rotation[:, axis]
+    form[MASS] = -rotation[:, axis] @ origin - value
     return form
 
 

@@ -230,6 +230,8 @@ def _check_one(
 
 _SLOW_SOURCE = 0.3  # part of rows that repeat positions from which their source is slower
 _REST = 0.01  # part of a joint's greatest speed below which it is at rest
+_MOMENT = 0.02  # [s] in which encoder steps and outliers do not show
+_TOP = 0.999  # part of the samples that top speed is not exceeded by
 
 
 @dataclasses.dataclass(frozen=True)
@@ -282,11 +284,10 @@ class RecordingSummary:
         """Summarise a recording of a robot, times in seconds."""
         time, position, torque = recording.time, recording.position, recording.torque
         interval = float(np.median(np.diff(time)))
-        # Over some ten milliseconds, in which encoder steps and outliers do not show.
-        reach = max(1, min(round(0.02 / interval), recording.samples // 4))
+        reach = max(1, min(round(_MOMENT / interval), recording.samples // 4))
         passed = (time[2 * reach :] - time[: -2 * reach])[:, None]
         speed = np.abs(position[2 * reach :] - position[: -2 * reach]) / passed
-        top = np.quantile(speed, 0.999, axis=0)
+        top = np.quantile(speed, _TOP, axis=0)
         columns = (
             np.min(position, axis=0),
             np.max(position, axis=0),

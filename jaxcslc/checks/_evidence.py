@@ -40,6 +40,8 @@ from ..recordings import (
 WELL = 0.5
 # Median intervals from which on what lies between two samples is not interpolated: a gap.
 _GAP = 5.0
+# Least divisor of what may be zero.
+TINY = 1e-300
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,7 +96,7 @@ def prior_fit(network: CSLC, patterns: Patterns, columns: HostColumns) -> PriorF
     explained = (
         1.0 - (np.where(recorded, with_file, 1.0) / np.where(recorded, without_file, 1.0)) ** 2
     )
-    return PriorFit(factor, explained, sizes[0] / np.maximum(sizes[1], 1e-300))
+    return PriorFit(factor, explained, sizes[0] / np.maximum(sizes[1], TINY))
 
 
 def _errors(
@@ -128,7 +130,15 @@ _FOLDS = 5
 _FADED = 3.0
 # What noise may be of the accelerations' root mean square.
 _NOISE_PART = 0.1
-_LOWEST, _HIGHEST = 3.0, 12.0  # [Hz]
+_LOWEST, _HIGHEST, _CUTOFFS = 3.0, 12.0, 6  # [Hz], and how many of them are tried
+CUTOFF_OF_RATE = 0.2
+"""Highest cut-off of smoothed positions, as part of the sampling rate."""
+SLOW = 0.1
+"""Part of a joint's top speed below which static friction, which no check fits, may be."""
+_APART = 0.2  # periods of the cut-off between rows that are kept
+_LEAST_RANGE = 1e-12  # rad or m: a joint with less does not move
+SMALLEST_ERROR, LARGEST_ERROR = 1e-6, 10.0
+"""Of a joint's torque: errors beyond count as these, for logarithms."""
 _SOLVER = LeastSquares(errors="independent")
 
 
@@ -170,7 +180,7 @@ class Evidence:
         recording, valid = _uniform(recording, valid)
         interval = float(np.median(np.diff(recording.time)))
         cutoff = _cutoff(recording, interval)
-        preparation = Preparation(Butterworth(cutoff), smooth_torque=True, threshold_fraction=0.1)
+        preparation = Preparation(Butterworth(cutoff), smooth_torque=True, threshold_fraction=SLOW)
         patterns = preparation.patterns(recording)
         # A motion that does not begin and end at rest leaves errors of filters at both ends.
         ends = min(int(np.ceil(_FADED / (cutoff * interval))), recording.samples // 10)
@@ -180,7 +190,8 @@ class Evidence:
         clear = _far_from_invalid(valid, reach)
         trim = preparation.trimmed(recording)
         inside = slice(trim, recording.samples - trim)
-        step = max(1, round(0.2 / (cutoff * interval)), int(np.ceil(patterns.samples / _MOST_ROWS)))
+        fewest = int(np.ceil(patterns.samples / _MOST_ROWS))
+        step = max(1, round(_APART / (cutoff * interval)), fewest)
         thinned = slice(None, None, step)
         return cls(
             network,
@@ -280,7 +291,7 @@ class Evidence:
         errors = (
             self.relative_errors if patterns is self.patterns else self.errors(patterns, columns)
         )
-        return float(np.mean(np.log(np.clip(errors, 1e-6, 10.0))))
+        return float(np.mean(np.log(np.clip(errors, SMALLEST_ERROR, LARGEST_ERROR))))
 
 
 def _far_from_invalid(
@@ -300,7 +311,7 @@ def _window(
     if recording.samples <= _MOST_SAMPLES:
         return recording, valid
     change = np.abs(np.diff(recording.position, axis=0, prepend=recording.position[:1]))
-    change = (change / np.maximum(np.ptp(recording.position, axis=0), 1e-12)).sum(axis=1)
+    change = (change / np.maximum(np.ptp(recording.position, axis=0), _LEAST_RANGE)).sum(axis=1)
     total = np.concatenate([[0.0], np.cumsum(change)])
     start = int(np.argmax(total[_MOST_SAMPLES:] - total[:-_MOST_SAMPLES]))
     part = slice(start, start + _MOST_SAMPLES)
@@ -335,12 +346,12 @@ def _uniform(
 def _cutoff(recording: Recording, interval: float) -> float:
     """Return the highest cut-off that leaves little noise in the accelerations [Hz]."""
     noise = noise_level(recording.position)
-    highest = min(_HIGHEST, 0.2 / interval)
-    for cutoff in np.geomspace(highest, min(_LOWEST, highest), 6):
+    highest = min(_HIGHEST, CUTOFF_OF_RATE / interval)
+    for cutoff in np.geomspace(highest, min(_LOWEST, highest), _CUTOFFS):
         _, _, qdd = Butterworth(float(cutoff)).smooth(recording.time, recording.position)
         # White noise of positions, low-passed and differentiated twice.
         omega = 2.0 * np.pi * cutoff
         acceleration = noise * omega**2 * np.sqrt(2.0 * cutoff * interval / 5.0)
-        if np.median(acceleration / np.maximum(np.std(qdd, axis=0), 1e-300)) < _NOISE_PART:
+        if np.median(acceleration / np.maximum(np.std(qdd, axis=0), TINY)) < _NOISE_PART:
             return float(cutoff)
     return float(min(_LOWEST, highest))

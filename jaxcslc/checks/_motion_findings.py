@@ -16,7 +16,7 @@ from .._rank import numerical_rank
 from ..least_squares import HostColumns, LeastSquares, regressor_of, reidentify
 from ..network import CSLC
 from ..recordings import Patterns, Preparation, Recording, noise_level
-from ._evidence import WELL, Evidence, PriorFit
+from ._evidence import LARGEST_ERROR, SMALLEST_ERROR, TINY, WELL, Evidence, PriorFit
 from ._findings import Finding, finding
 from ._sample_findings import OTHER_RATE, motionless
 from ._torque_lag import LEAST_LAG, TorqueLag, torque_lag_of
@@ -28,14 +28,20 @@ _LEAST_GAIN = 0.15
 _ALIKE = _LEAST_GAIN / 3.0
 # Errors of less than this part of the torque leave nothing to explain.
 _SMALL = 0.03
+# Errors of less than this part of the torque say less of a sign than friction's power does.
+_LITTLE, _NO_ERROR = 0.1, 1e-9
 # Torques of this many times those of the file's masses are in another unit.
 _OTHER_UNIT = 3.0
+_THOUSAND = (300.0, 3000.0)  # times: torques in mN m or N mm
 # What the file's masses must explain of a joint's torque that is gravity's for the most part.
 _FEW, _MOST = 0.2, 0.4
 # Error beyond noise, as part of the torque, that a right model rarely leaves.
 _UNEXPLAINED = 0.4
 # Held-out over training error, in logarithms, from which a recording has too little motion.
 _TAME = 0.35
+# Positions beyond limits by less than these margins are within [part of the range; rad or m], and
+# this part of the samples does not count.
+_MARGIN_OF_SPAN, _MARGIN, _OUTSIDE = 0.02, 0.05, 1e-3
 _ROUNDS = 3
 
 
@@ -233,12 +239,12 @@ def _causes_in_columns(evidence: Evidence, score: float) -> list[_Cause]:
         changed = hypothesis.change.patterns(patterns)
         gain = score - _objective(evidence, changed)
         mended = evidence.errors(changed)
-        worst = int(np.argmax(errors / np.maximum(mended, 1e-9)))
+        worst = int(np.argmax(errors / np.maximum(mended, _NO_ERROR)))
         text = (
             f"torque errors are {100 * errors[worst]:.3g} % of the torque of {names[worst]}, and"
             f" {100 * mended[worst]:.3g} % if {hypothesis.finding.cause}"
         )
-        if against_friction and errors[worst] < 0.1:
+        if against_friction and errors[worst] < _LITTLE:
             name = names[hypothesis.joints[0]]
             text = f"friction of {name} drives its motion instead of braking it"
         found = dataclasses.replace(hypothesis.finding, evidence=text)
@@ -311,8 +317,9 @@ def _torque_unit(evidence: Evidence, prior: PriorFit, score: float) -> _Cause | 
     names, factors = np.array(evidence.network.output_names)[well], prior.factor[well]
     listed = ", ".join(f"{name} {x:.3g}" for name, x in zip(names, factors, strict=True))
     alike = float(np.max(np.abs(factors)) / np.min(np.abs(factors))) < 2.0
+    scaled = alike and _THOUSAND[0] < common < _THOUSAND[1]
     found = finding(
-        "torque unit: scale" if alike and 300.0 < common < 3000.0 else "torque unit: currents",
+        "torque unit: scale" if scaled else "torque unit: currents",
         f"torques follow those of the masses in the robot's file, but times {listed}",
         "" if well.all() else ", ".join(names),
     )
@@ -322,7 +329,7 @@ def _torque_unit(evidence: Evidence, prior: PriorFit, score: float) -> _Cause | 
 def _mismatched(evidence: Evidence, prior: PriorFit) -> np.ndarray:
     """Return joints, from 0, whose torque should be that of the file's masses, and is not."""
     torque = np.asarray(evidence.patterns.torque)
-    size = np.maximum(np.sqrt(np.mean(torque**2, axis=0)), 1e-300)
+    size = np.maximum(np.sqrt(np.mean(torque**2, axis=0)), TINY)
     recorded = np.std(evidence.gravity, axis=0) / size
     common = abs(prior.common_factor)
     expected = prior.size * (common if np.isfinite(common) else 1.0)
@@ -340,7 +347,7 @@ def _wrong_robot(evidence: Evidence) -> Finding | None:
     interval = float(np.median(np.diff(recording.time)))
     passed = np.sqrt(min(2.0 * evidence.cutoff * interval, 1.0))
     size = np.sqrt(np.mean(np.asarray(evidence.patterns.torque) ** 2, axis=0))
-    noise = noise_level(recording.torque) * passed / np.maximum(size, 1e-300)
+    noise = noise_level(recording.torque) * passed / np.maximum(size, TINY)
     errors = np.sqrt(np.maximum(evidence.relative_errors**2 - noise**2, 0.0))
     texts: list[str] = []
     bad, off = np.flatnonzero(errors > _UNEXPLAINED), np.zeros(0, int)
@@ -359,11 +366,11 @@ def _wrong_robot(evidence: Evidence) -> Finding | None:
 def _beyond_limits(evidence: Evidence) -> list[Finding]:
     network, recording = evidence.network, evidence.recording
     texts: dict[str, str] = {}
-    lows, highs = np.quantile(recording.position, [0.001, 0.999], axis=0)
+    lows, highs = np.quantile(recording.position, [_OUTSIDE, 1.0 - _OUTSIDE], axis=0)
     of_joints = zip(network.output_names, network.joint_limits, lows, highs, strict=True)
     for name, limits, low, high in of_joints:
         span = limits.high - limits.low
-        margin = 0.02 * span if np.isfinite(span) else 0.05
+        margin = _MARGIN_OF_SPAN * span if np.isfinite(span) else _MARGIN
         if low < limits.low - margin or high > limits.high + margin:
             texts[name] = (
                 f"{name} goes from {low:.3g} to {high:.3g}, and its limits are {limits.low:.3g}"
@@ -377,8 +384,8 @@ def _excitation(evidence: Evidence) -> tuple[list[Finding], str]:
     network, patterns, fit = evidence.network, evidence.patterns, evidence.fit
     mask, torque = np.asarray(patterns.mask), np.asarray(patterns.torque)
     counts = np.maximum(mask.sum(axis=0), 1)
-    size = np.maximum(np.sqrt(np.where(mask, torque**2, 0.0).sum(axis=0) / counts), 1e-300)
-    training = np.clip(np.asarray(fit.torque_error) / size, 1e-6, 10.0)
+    size = np.maximum(np.sqrt(np.where(mask, torque**2, 0.0).sum(axis=0) / counts), TINY)
+    training = np.clip(np.asarray(fit.torque_error) / size, SMALLEST_ERROR, LARGEST_ERROR)
     gap = evidence.score(patterns) - float(np.mean(np.log(training)))
     rank, duration = int(fit.rank), float(evidence.time[-1] - evidence.time[0])
     text = (

@@ -212,6 +212,7 @@ class Outliers:
 
 # An outlier is so many standard deviations from the median of so many samples around it.
 _FAR, _WINDOW = 12.0, 7
+_DEVIATION = 1.4826  # standard deviation of a normal variable, in median absolute values
 # Its distance from the mean of its two neighbours is at least this part of that: one in a pair of
 # outliers has half.
 _ALONE = 0.45
@@ -244,7 +245,7 @@ def mark_outliers(
     # At the ends, where only one side tells, nothing counts as an outlier.
     beside = np.pad(values, ((1, 1), (0, 0)), mode="reflect", reflect_type="odd")
     alone = np.abs(values - 0.5 * (beside[:-2] + beside[2:])) > _ALONE * distance
-    usual = 1.4826 * np.median(distance, axis=0)
+    usual = _DEVIATION * np.median(distance, axis=0)
     # Values of a coarse grid differ from their neighbours' median by nothing, or by steps.
     extent = np.ptp(np.quantile(values, [0.02, 0.98], axis=0), axis=0)
     steps = np.maximum(usual, np.quantile(distance, 0.95, axis=0) / 2.0)

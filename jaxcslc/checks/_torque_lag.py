@@ -18,11 +18,12 @@ from ..least_squares import (
 )
 from ..network import CSLC
 from ..recordings import Butterworth, Patterns, Preparation, Recording, zero_phase
-from ._evidence import Evidence
+from ._evidence import CUTOFF_OF_RATE, SLOW, Evidence
 
 
 # The search looks this far to either side, in steps that no motion below the cut-off outruns [s].
 _FARTHEST, _STEP = 0.25, 0.0125
+_ENDS = 0.1  # of the recording at most, which lags shift out of it at either end
 # It ends here if a lag within explains the torque to e^-3 of it.
 _NEAR, _GOOD = 0.1, -3.0
 LEAST_LAG = 2e-3
@@ -33,6 +34,8 @@ _PIECE = 4096
 # Standard deviation of what looks like a lag at all joints alike (friction at low speed that no
 # term describes), in sample intervals: the order of errors on simulated arms with little noise.
 _COMMON = 0.025
+_LEVEL = 0.95  # of the interval
+_MANY = 30.0  # degrees of freedom of one joint's error, which nearly is a normal one
 # How much wider than the equations' filter the smoothing of the positions is, and how much
 # narrower that of the torque's slope.
 _APART = 3.0
@@ -121,7 +124,7 @@ def _search(evidence: Evidence) -> tuple[float, float]:
     columns = evidence.columns(patterns)
     spline = CubicSpline(evidence.time, evidence.torque)
     time = np.asarray(patterns.time)
-    farthest = min(_FARTHEST, 0.1 * float(evidence.time[-1] - evidence.time[0]))
+    farthest = min(_FARTHEST, _ENDS * float(evidence.time[-1] - evidence.time[0]))
     inside = (time > evidence.time[0] + farthest) & (time < evidence.time[-1] - farthest)
     valid = np.asarray(patterns.backlash_mask) & inside[:, None]
 
@@ -156,7 +159,8 @@ def _refined(evidence: Evidence, lag: float, gain: float) -> TorqueLag:
     network, recording = evidence.network, evidence.recording
     interval = float(np.median(np.diff(recording.time)))
     preparation = Preparation(
-        Butterworth(min(_APART * evidence.cutoff, 0.2 / interval)), threshold_fraction=0.1
+        Butterworth(min(_APART * evidence.cutoff, CUTOFF_OF_RATE / interval)),
+        threshold_fraction=SLOW,
     )
     patterns = preparation.patterns(recording)
     trim = preparation.trimmed(recording)
@@ -198,7 +202,7 @@ def _refined(evidence: Evidence, lag: float, gain: float) -> TorqueLag:
         if abs(estimate.mean) <= _SMALL_STEP * estimate.error:
             break
     error = np.hypot(estimate.error, _COMMON * interval)
-    half = float(scipy.special.stdtrit(estimate.degrees_of_freedom, 0.975) * error)
+    half = float(scipy.special.stdtrit(estimate.degrees_of_freedom, 0.5 + 0.5 * _LEVEL) * error)
     return TorqueLag(lag, lag - half, lag + half, gain)
 
 
@@ -225,7 +229,7 @@ class _Combined:
         if values.size == 0:
             return cls(0.0, np.inf, 1.0)
         if values.size == 1:
-            return cls(float(values[0]), float(errors[0]), 30.0)
+            return cls(float(values[0]), float(errors[0]), _MANY)
         weights = errors**-2
         mean = float(np.average(values, weights=weights))
         excess = float(weights @ (values - mean) ** 2) - (values.size - 1)
