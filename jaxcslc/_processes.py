@@ -4,6 +4,10 @@
 A process serves one computation: `computed_beside` starts it at once, `function_beside` before its
 argument is known. Where forking is not possible, they compute in this process. For work that
 releases the interpreter's lock, see `_chunks`.
+
+Figures are of `jaxcslc identify` with 3,300 samples of a PUMA 560 (`scripts.benchmarks.run --groups
+"first answer"`): the check and the lag in processes take 0.24 of 3.2 s of processor time off the
+command's own process. Sharing the trials of settings as well took 0.2 s more in all.
 """
 
 import contextlib

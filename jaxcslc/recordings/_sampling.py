@@ -11,13 +11,23 @@ from ._recording import Recording, Samples, Signals
 # An encoder counts as coarser, readings as noisier, from these ratios on. What `noise_level` sees
 # of a motion itself makes the latter less certain.
 _COARSER, _NOISIER = 1.5, 3.0
+_ALIKE = 0.1  # sampling rates that differ by less than this part are alike
 # Intervals that differ from their mean by less than this part of it count as regular.
 _REGULAR = 0.01
 _ORDER = 6  # of the differences that noise is seen in
 _BINOMIAL = np.poly(np.ones(_ORDER))  # of even intervals
+_THIRD = np.poly(np.ones(3))  # the same of third differences
+_MEDIAN = 0.6745  # absolute value of a normal variable, in standard deviations
 # Third differences that see more than so many times as much as sixth ones have seen motion.
 _MOTION = 1.5
 
+
+# Steps of an encoder: equal to this part of the largest value; smallest ones that tell their size;
+# how near to multiples of it, and how many of them, make a grid.
+_EQUAL, _TELLING, _NEAR, _ON_GRID = 1e-9, 8.5, 0.05, 0.9
+
+STEP_DEVIATIONS = np.sqrt(12.0)
+"""Standard deviations of rounding to steps in one step."""
 
 UNIFORM_TO = 1e-3
 """Intervals that differ by less than this part of their mean count as equal: time stamps are
@@ -69,7 +79,7 @@ class Sampling:
         """
         sentences: list[str] = []
         # At another rate, differences of the motion itself would pass for noise.
-        alike = 0.9 < self.interval / other.interval < 1.1
+        alike = abs(self.interval / other.interval - 1.0) < _ALIKE
         joints = zip(self.resolution, other.resolution, self.noise, other.noise, strict=True)
         for joint, (step, other_step, noise, other_noise) in enumerate(joints, 1):
             if other_step > 0.0 and step > _COARSER * other_step:
@@ -172,12 +182,11 @@ def noise_level(values: Signals) -> Float[np.ndarray, " joints"]:
     True
     """
     third = np.median(np.abs(np.diff(values, n=3, axis=0)), axis=0)
-    # 0.6745 is the median absolute value of a normal variable of unit deviation.
-    scatter = third / (0.6745 * np.sqrt(20.0))
+    scatter = third / (_MEDIAN * np.linalg.norm(_THIRD))
     if len(differences := sixth_differences(values)):
-        sixth = np.median(np.abs(differences), axis=0) / 0.6745
+        sixth = np.median(np.abs(differences), axis=0) / _MEDIAN
         scatter = np.where(scatter > _MOTION * sixth, sixth, scatter)
-    return np.maximum(scatter, encoder_resolution(values) / np.sqrt(12.0))
+    return np.maximum(scatter, encoder_resolution(values) / STEP_DEVIATIONS)
 
 
 def sixth_differences(
@@ -224,16 +233,16 @@ def _smallest_step(values: Samples) -> float:
     levels = np.unique(values)
     steps = np.diff(levels)
     # Equal counts may differ by rounding of their conversion to radians.
-    steps = steps[steps > 1e-9 * np.max(np.abs(levels), initial=0.0)]
+    steps = steps[steps > _EQUAL * np.max(np.abs(levels), initial=0.0)]
     if steps.size == 0:
         return 0.0
     smallest = np.min(steps)
     # Far larger steps would tell the count more exactly than it deserves: an error of the
     # smallest would grow to a whole count there.
-    multiples = steps[steps < 8.5 * smallest] / smallest
+    multiples = steps[steps < _TELLING * smallest] / smallest
     nearest = np.round(multiples)
-    on_grid = np.abs(multiples - nearest) < 0.05
+    on_grid = np.abs(multiples - nearest) < _NEAR
     # Without a grid, a tenth of the steps would pass that test by chance.
-    if multiples.size < 2 or np.mean(on_grid) < 0.9:
+    if multiples.size < 2 or np.mean(on_grid) < _ON_GRID:
         return 0.0
     return float(smallest * np.median(multiples[on_grid] / nearest[on_grid]))

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from .._bounded_search import bounded_minima
 from ._recording import Samples, Signals
-from ._sampling import noise_level
+from ._sampling import STEP_DEVIATIONS, noise_level
 from ._smoothing import AbstractSmoothing, Derivatives, register_smoothing
 
 
@@ -185,13 +185,14 @@ def _extremes(position: Samples, tolerance: float) -> list[tuple[int, int]]:
 # Columns of a fit that are this much shorter than others, once those before are taken off, are
 # left to a decomposition that finds their rank.
 _DEPENDENT = 1e-10
+_COLUMNS = 6  # coefficients of two cubics that meet at rest, and the positions
 
 
 def _fitted(turns: Sequence[_Turn]) -> list[_Turn]:
     """Return turns at the instants that fit their samples best: all are searched for at once."""
     near = [turn.near for turn in turns if turn.near is not None]
     size = np.array([samples.shape[1] for samples in near])
-    rows = max(int(np.max(size)), 6)  # a triangle of six columns has as many
+    rows = max(int(np.max(size)), _COLUMNS)  # as many as the triangle has
     # Counted from the first sample, time stamps since 1970 are as good as any: the search's
     # tolerance grows with its argument.
     origin = np.array([samples[0, 0] for samples in near])
@@ -230,13 +231,13 @@ def _least_squares(
 ) -> tuple[Float[np.ndarray, " fits"], Float[np.ndarray, " fits"]]:
     """Fit the last column by the others; return the first coefficient and the squared residual."""
     triangle: Any = np.linalg.qr(columns, mode="r")  # the stub promises Q as well
-    matrix, target = triangle[:, :5, :5], triangle[:, :5, 5:]
+    matrix, target = triangle[:, :-1, :-1], triangle[:, :-1, -1:]
     diagonal = np.abs(np.diagonal(matrix, axis1=1, axis2=2))
     regular = np.min(diagonal, axis=1) > _DEPENDENT * np.max(diagonal, axis=1)
-    first, squares = np.empty(len(columns)), triangle[:, 5, 5] ** 2
+    first, squares = np.empty(len(columns)), triangle[:, -1, -1] ** 2
     first[regular] = np.linalg.solve(matrix[regular], target[regular])[:, 0, 0]
     for fit in np.flatnonzero(~regular):  # such as of an instant beside the last sample
-        design, right = columns[fit, :, :5], columns[fit, :, 5]
+        design, right = columns[fit, :, :-1], columns[fit, :, -1]
         coefficients = np.linalg.lstsq(design, right, rcond=None)[0]
         first[fit], squares[fit] = coefficients[0], np.sum((design @ coefficients - right) ** 2)
     return first, squares
@@ -303,8 +304,7 @@ class AveragedSplines(AbstractSmoothing):
         windows = [3 * spacing // 2 for spacing in spacings]
         reversals: list[tuple[Reversal, ...]] = [()] * len(windows)
         if self.sections:
-            # Two cubics have six coefficients between them.
-            at_least = [max(window, 6) for window in windows]
+            at_least = [max(window, _COLUMNS) for window in windows]
             tolerance = self._tolerances(position)
             reversals = find_reversals(time, position, tolerance=tolerance, window=at_least)
         columns = np.ascontiguousarray(position.T)
@@ -473,12 +473,16 @@ def left_out_error(
     return residual * spacings / (spacings - 1.0)
 
 
+_SPACINGS = (5, 7, 9, 11, 13, 15, 17, 21, 25, 29, 35, 41)  # samples, a fifth apart
+_SLACK = 0.01  # of the noise's variance, twice
+
+
 def choose_spacing(
     time: Samples,
     position: Signals,
     *,
-    candidates: Sequence[int] = (5, 7, 9, 11, 13, 15, 17, 21, 25, 29, 35, 41),
-    slack: float = 0.01,
+    candidates: Sequence[int] = _SPACINGS,
+    slack: float = _SLACK,
     sections: bool = True,
     resolution: float | Float[np.ndarray, " joints"] = 0.0,
 ) -> tuple[int, ...]:
@@ -536,6 +540,6 @@ def choose_spacing(
             for spacing in candidates
         ]
     )
-    noise = np.maximum(noise_level(position), np.asarray(resolution) / np.sqrt(12.0))
+    noise = np.maximum(noise_level(position), np.asarray(resolution) / STEP_DEVIATIONS)
     good = errors**2 <= np.min(errors, axis=0) ** 2 + 2.0 * slack * noise**2
     return tuple(int(np.max(np.asarray(candidates)[column])) for column in good.T)
