@@ -1,7 +1,6 @@
 """Result of a fit: `Identification`, its outcome, and what patterns do not determine."""
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._display import html_table
 from .._environment import array_namespace, as_jax, require
+from .._plain_data import plain
 from .._scratch import unfinished
 from ._columns import untraced
 
@@ -120,8 +120,7 @@ _ARRAYS = {
     "undetermined": "pp",
     "determined": "p",
 }
-_INTEGERS = ("rank",)
-_TRUTHS = ("determined",)
+_TYPES = {"rank": int, "determined": bool}
 # What may be infinite, and is written as null.
 _OPEN = ("standard_error",)
 
@@ -277,7 +276,13 @@ class Identification(eqx.Module):
 
     def document(self) -> dict[str, Any]:
         """Return all results as plain data; numbers that JSON lacks are None."""
-        return _document_of(self)
+        return {
+            "version": _VERSION,
+            "names": list(self.names),
+            "errors": self.errors,
+            "result": result_of(self),
+            **{name: plain(getattr(self, name)) for name in _ARRAYS},
+        }
 
     def save(self, path: Path | str) -> None:
         """Writes it as JSON, numbers in full precision.
@@ -299,7 +304,13 @@ class Identification(eqx.Module):
         - `OSError`: there is no such file.
         - `ValueError`: it holds something else; the message names the entry.
         """
-        return cls.from_document(_read_document(Path(path)), str(path))
+        try:
+            document = json.loads(Path(path).read_text(encoding="utf-8"))
+        except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+            raise ValueError(f"{path}: not valid JSON: {error}") from None
+        if not isinstance(document, dict):
+            raise ValueError(f"{path}: expected an identification as a JSON object")
+        return cls.from_document(document, str(path))
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any], where: str) -> "Identification":
@@ -309,7 +320,28 @@ class Identification(eqx.Module):
 
         - `ValueError`: it is something else; the message names the entry.
         """
-        return cls(**_arrays_from(document, where))
+        for name in ("version", "names", "errors", "result", *_ARRAYS):
+            if name not in document:
+                raise ValueError(f"{where}: no entry {name!r}; expected a saved identification")
+        if document["version"] != _VERSION:
+            raise ValueError(f"{where}: version is {document['version']!r}; expected {_VERSION}")
+        names = document["names"]
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise ValueError(f"{where}: names: expected a list of names")
+        if document["errors"] not in ("independent", "correlated", "simulated"):
+            raise ValueError(
+                f"{where}: errors: expected 'independent', 'correlated' or 'simulated'"
+            )
+        if document["result"] not in _RESULTS:
+            raise ValueError(f"{where}: result: expected one of {', '.join(_RESULTS)}")
+        equations = document["equations"]
+        sizes = {"p": len(names), "n": len(equations) if isinstance(equations, list) else 0}
+        fields = {
+            name: _array(document[name], name, tuple(sizes[axis] for axis in axes), where)
+            for name, axes in _ARRAYS.items()
+        }
+        result = getattr(RESULTS, document["result"])
+        return cls(**fields, result=result, names=tuple(names), errors=document["errors"])
 
     def __repr__(self) -> str:
         if isinstance(self.k, Tracer) or self.k.ndim != 1:
@@ -351,67 +383,6 @@ def result_of(fit: Identification) -> str:
     return next(name for name, other in codes.items() if int(code) == int(other))
 
 
-def _document_of(fit: Identification) -> dict[str, Any]:
-    """An `Identification` as plain data."""
-    return {
-        "version": _VERSION,
-        "names": list(fit.names),
-        "errors": fit.errors,
-        "result": result_of(fit),
-        **{name: _plain(np.asarray(getattr(fit, name)).tolist()) for name in _ARRAYS},
-    }
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, list):
-        return [_plain(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _read_document(path: Path) -> dict[str, Any]:
-    """**Raises** `ValueError` in one line unless a file holds a JSON object."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ValueError(f"{path}: not valid JSON: {error}") from None
-    if not isinstance(document, dict):
-        raise ValueError(f"{path}: expected an identification as a JSON object")
-    return document
-
-
-def _arrays_from(document: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """The fields of an `Identification` from what `_document_of` made.
-
-    **Raises** `ValueError` naming the entry that is missing or wrong.
-    """
-    if "freedom" in document:  # its name in files of earlier versions
-        document = {**document, "degrees_of_freedom": document["freedom"]}
-    for name in ("version", "names", "errors", "result", *_ARRAYS):
-        if name not in document:
-            raise ValueError(f"{where}: no entry {name!r}; expected a saved identification")
-    if document["version"] != _VERSION:
-        raise ValueError(f"{where}: version is {document['version']!r}; expected {_VERSION}")
-    names = document["names"]
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ValueError(f"{where}: names: expected a list of names")
-    if document["errors"] not in ("independent", "correlated", "simulated"):
-        raise ValueError(f"{where}: errors: expected 'independent', 'correlated' or 'simulated'")
-    if document["result"] not in _RESULTS:
-        raise ValueError(f"{where}: result: expected one of {', '.join(_RESULTS)}")
-    equations = document["equations"]
-    sizes = {"p": len(names), "n": len(equations) if isinstance(equations, list) else 0}
-    fields = {
-        name: _array(document[name], name, tuple(sizes[axis] for axis in axes), where)
-        for name, axes in _ARRAYS.items()
-    }
-    return {
-        **fields,
-        "result": getattr(RESULTS, document["result"]),
-        "names": tuple(names),
-        "errors": document["errors"],
-    }
-
-
 def _array(value: Any, name: str, shape: tuple[int, ...], where: str) -> Any:
     expected = f"{where}: {name}: expected numbers of shape {shape}"
     try:
@@ -422,5 +393,5 @@ def _array(value: Any, name: str, shape: tuple[int, ...], where: str) -> Any:
         raise ValueError(f"{expected}, got {array.shape}")
     if name in _OPEN:
         array = np.where(np.isnan(array), np.inf, array)
-    dtype = int if name in _INTEGERS else bool if name in _TRUTHS else float
+    dtype = _TYPES.get(name, float)
     return as_jax(array.astype(dtype))
