@@ -108,7 +108,7 @@ def _errors(
         tuple(f"{joint} {term}" for joint in range(joints) for term in range(count)),
         tuple(tuple(range(joint * count, (joint + 1) * count)) for joint in range(joints)),
     )
-    equations = Equations.of_columns(
+    equations = Equations.from_columns(
         unknowns,
         tuple(np.moveaxis(terms, -1, 0)),
         np.asarray(patterns.torque),

@@ -53,13 +53,13 @@ class Equations:
         time: Float[np.ndarray, " samples"],
         cutoff: float | None,
     ) -> "Equations":
-        """Return the equations of a whole regressor; arguments as of `of_columns`."""
+        """Return the equations of a whole regressor; arguments as of `from_columns`."""
         joints = enumerate(unknowns.support)
         columns = tuple(regressor[:, joint, list(some)].T for joint, some in joints)
-        return cls.of_columns(unknowns, columns, torque, mask, time=time, cutoff=cutoff)
+        return cls.from_columns(unknowns, columns, torque, mask, time=time, cutoff=cutoff)
 
     @classmethod
-    def of_columns(
+    def from_columns(
         cls,
         unknowns: Unknowns,
         columns: HostColumns,
@@ -177,7 +177,7 @@ class Equations:
 
     def factors(self) -> JointFactors:
         """Return the factors of all equations."""
-        return JointFactors.of_rows(self.rows, np.array([float(len(rows)) for rows in self.rows]))
+        return JointFactors.from_rows(self.rows, np.array([float(len(rows)) for rows in self.rows]))
 
     def factors_of_folds(self, fold: Int[np.ndarray, " samples"], folds: int) -> JointFactors:
         """Return the factors of each fold by itself, all arrays with a leading axis of folds."""
@@ -191,7 +191,7 @@ class Equations:
                 filled[: len(part)] = part
             rows.append(padded)
             counts.append(np.array([float(len(part)) for part in parts]))
-        return JointFactors.of_rows(tuple(rows), np.stack(counts, axis=-1))
+        return JointFactors.from_rows(tuple(rows), np.stack(counts, axis=-1))
 
     def selected(self, mask: Bool[np.ndarray, " samples"]) -> "Equations":
         """Return the equations of some samples."""
@@ -230,7 +230,7 @@ def equations_of(
     time, torque, mask = (np.asarray(x) for x in (patterns.time, patterns.torque, patterns.mask))
     if cutoff is None or columns is not None or samples <= LONG:
         columns = columns_of(network, patterns) if columns is None else columns
-        return Equations.of_columns(unknowns, columns, torque, mask, time=time, cutoff=cutoff)
+        return Equations.from_columns(unknowns, columns, torque, mask, time=time, cutoff=cutoff)
     interval = uniform_interval(time)
     reach = int(np.ceil(_MEMORY / (cutoff * interval)))
     kept = samples_kept(samples, cutoff, interval)
@@ -238,7 +238,7 @@ def equations_of(
     joined: Equations | None = None
     for first in range(0, samples, inside):
         start, stop = max(first - reach, 0), min(first + inside + reach, samples)
-        part = Equations.of_columns(
+        part = Equations.from_columns(
             unknowns,
             columns_of(network, rows_of(patterns, slice(start, stop))),
             torque[start:stop],

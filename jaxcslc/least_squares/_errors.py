@@ -104,7 +104,7 @@ class Rows:
                 xp.concatenate([columns, self.torque[part, j][None]]) * weights[None, :, j]
                 for j, columns in enumerate(self.columns(part))
             )
-            return JointFactors.of_rows(
+            return JointFactors.from_rows(
                 tuple(x.T for x in rows), 1.0 * xp.sum(weights != 0, axis=0)
             )
 

@@ -86,7 +86,7 @@ class JointFactors(NamedTuple):
     counts: Float[Array | np.ndarray, "*batch joints"]
 
     @classmethod
-    def of_rows(
+    def from_rows(
         cls,
         rows: tuple[Float[Array | np.ndarray, "*batch _ _"], ...],
         counts: Float[Array | np.ndarray, "*batch joints"],
@@ -104,7 +104,7 @@ class JointFactors(NamedTuple):
     def joined_folds(self) -> "JointFactors":
         """Return the factors of all folds together; NumPy's arrays, folds first."""
         rows = (triangle.reshape(-1, triangle.shape[-1]) for triangle in self.triangles)
-        return JointFactors.of_rows(tuple(map(np.asarray, rows)), np.sum(self.counts, axis=0))
+        return JointFactors.from_rows(tuple(map(np.asarray, rows)), np.sum(self.counts, axis=0))
 
     def stacked(
         self, unknowns: Unknowns, weights: Float[Array | np.ndarray, "*batch joints"]
@@ -146,7 +146,7 @@ def joined_factors(parts: Sequence[JointFactors]) -> JointFactors:
     while len(parts) > 1:
         groups = [parts[start : start + _JOINED] for start in range(0, len(parts), _JOINED)]
         parts = [
-            JointFactors.of_rows(
+            JointFactors.from_rows(
                 tuple(
                     np.concatenate(triangles)
                     for triangles in zip(*(part.triangles for part in group), strict=True)

@@ -168,7 +168,7 @@ class LeastSquares:
         - `ValueError`: if patterns and network differ in joints, or are not in float64.
         - `RuntimeError`: with `throw`, if patterns are not finite or too few.
         """
-        fixed = fixed or Fixed.of_known(network)
+        fixed = fixed or Fixed.from_known(network)
         return checked(self._fit_patterns(network, patterns, fixed), throw)
 
     def fit_stream(
@@ -221,7 +221,7 @@ class LeastSquares:
         throw: bool = True,
     ) -> Identification:
         """The ordinary fit of factorised patterns, its errors for independent noise."""
-        unknowns, fixed = Unknowns.of(network), fixed or Fixed.of_known(network)
+        unknowns, fixed = Unknowns.of(network), fixed or Fixed.from_known(network)
         return checked(self._fit_rows(unknowns, factors, None, fixed), throw)
 
     def fit_equations(

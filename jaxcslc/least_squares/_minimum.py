@@ -94,7 +94,7 @@ class Fixed(eqx.Module):
         )
 
     @classmethod
-    def of_known(cls, network: AbstractLinearNetwork) -> "Fixed | None":
+    def from_known(cls, network: AbstractLinearNetwork) -> "Fixed | None":
         """The coefficients that are numbers (`network.known_values`), without errors; None if
         none is."""
         if not (known := network.known_values):
@@ -309,7 +309,7 @@ def _without_each_fold(factors: JointFactors) -> JointFactors:
         np.stack([np.concatenate(of_joint[others]) for others in kept])
         for of_joint in map(np.asarray, factors.triangles)
     )
-    return JointFactors.of_rows(tuple(triangles), kept @ np.asarray(factors.counts))
+    return JointFactors.from_rows(tuple(triangles), kept @ np.asarray(factors.counts))
 
 
 class _Reduced(NamedTuple):

@@ -56,7 +56,7 @@ class Preconditioner(NamedTuple):
     factors: tuple[Float[np.ndarray, "_ _"], ...]
 
     @classmethod
-    def of_rows(cls, rows: Sequence[Float[np.ndarray, "_ _"]]) -> "Preconditioner":
+    def from_rows(cls, rows: Sequence[Float[np.ndarray, "_ _"]]) -> "Preconditioner":
         """Compute the preconditioner from some rows of each joint, or from a triangle of them.
 
         Columns of zeros are allowed.
@@ -65,12 +65,12 @@ class Preconditioner(NamedTuple):
         return cls(inverses, factors)
 
     @classmethod
-    def of_products(cls, grams: Sequence[Float[np.ndarray, "_ _"]]) -> "Preconditioner":
+    def from_products(cls, grams: Sequence[Float[np.ndarray, "_ _"]]) -> "Preconditioner":
         """Compute the preconditioner from the products of some rows of each joint.
 
         Rows are resolved to 3e-7 of their columns' lengths. What lies beyond takes a second pass.
         """
-        return cls.of_rows([*map(_rows_with_products, grams)])
+        return cls.from_rows([*map(_rows_with_products, grams)])
 
 
 def _inverse_and_factor(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -199,7 +199,7 @@ def factors_of(
             # Rows that are not finite, whose errors are NaN, have no better factors.
             if np.max(np.nan_to_num(errors)) < LARGEST_ERROR:
                 return JointFactors(triangles, counts), preconditioner
-            preconditioner = Preconditioner.of_rows(triangles)
+            preconditioner = Preconditioner.from_rows(triangles)
     q, qd, qdd, torque, weight = (np.asarray(x) for x in motion)
     time, pairs = np.arange(len(q)) * 1.0, weight != 0
     patterns = Patterns(time, q, qd, qdd, torque, pairs, pairs)
@@ -210,7 +210,7 @@ def sample_of(motion: Motion, kernel: HostKernel | GramKernel) -> Preconditioner
     """Return the preconditioner of patterns that are spread over all."""
     identities = tuple(map(np.eye, kernel.sizes))
     *grams, _ = kernel.products(identities, *motion, sample=True)
-    return Preconditioner.of_products(grams)
+    return Preconditioner.from_products(grams)
 
 
 def block_at(motion: Sequence[Array], start: Array, size: int) -> tuple[Array, ...]:

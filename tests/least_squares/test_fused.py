@@ -36,7 +36,7 @@ SIZES = (11, 5, 16)
 def test_tiles_are_those_of_the_products(rng: np.random.Generator) -> None:
     """The kernel's loops over tiles, by NumPy: rows by pivots, a triangle, products, 8 x 8 each."""
     rows = [rng.normal(size=(100, size)) * np.logspace(0, 3, size) for size in SIZES]
-    inverses = Preconditioner.of_rows(rows).inverses
+    inverses = Preconditioner.from_rows(rows).inverses
     of_kernel = packed_inverses(SIZES, [jnp.asarray(inverse) for inverse in inverses])
     packed, row_of = (np.asarray(x) for x in of_kernel)
     tiles: list[np.ndarray] = []
@@ -160,7 +160,7 @@ def test_the_kernel_multiplies_the_columns(
         )
     ]
     some = [x + rng.normal(size=(len(x), 100)) for x in (r[:, :1] for r in rows)]
-    inverses = Preconditioner.of_rows([x.T for x in some]).inverses
+    inverses = Preconditioner.from_rows([x.T for x in some]).inverses
     kernel = fused_kernel_of(network)
     assert kernel is not None
     motion = [jnp.asarray(x) for x in (q, qd, qdd, torque, weight)]

@@ -64,7 +64,7 @@ def test_columns_of_zeros_and_numbers_that_are_not_finite(
     q, qd, qdd, torque = rng.uniform(-2.0, 2.0, (4, 50, 6))
     motion = q, 0.0 * qd, 0.0 * qdd, 0.0 * torque, np.ones((50, 6))
     identities = [np.eye(size) for size in kernel.sizes]
-    still = Preconditioner.of_products(kernel.products(identities, *motion)[:-1])
+    still = Preconditioner.from_products(kernel.products(identities, *motion)[:-1])
     assert all(np.all(np.isfinite(x)) for x in kernel.products(still.inverses, *motion))
     motion[0][20, 1] = np.nan
     assert np.isnan(kernel.products(identities, *motion)[1]).any()

@@ -150,7 +150,7 @@ def test_a_preconditioner_is_an_inverse(rng: np.random.Generator) -> None:
     """Also of rows with a column of zeros, and one twice; in any units."""
     rows = rng.normal(size=(40, 6)) * 10.0 ** rng.uniform(-8, 8, 6)
     rows[:, 2], rows[:, 4] = 0.0, 3.0 * rows[:, 1]
-    (inverse,), (factor,) = Preconditioner.of_rows([rows])
+    (inverse,), (factor,) = Preconditioner.from_rows([rows])
     assert_allclose(factor @ inverse, np.eye(6), atol=1e-7)
     kept = [0, 1, 3, 5]
     gram = inverse.T @ (rows.T @ rows) @ inverse
@@ -162,7 +162,7 @@ def test_a_preconditioner_of_products(rng: np.random.Generator) -> None:
     """Independent columns become orthonormal; what depends on them vanishes up to rounding."""
     rows = rng.normal(size=(40, 6)) * 10.0 ** rng.uniform(-8, 8, 6)
     rows[:, 2], rows[:, 4] = 0.0, 3.0 * rows[:, 1] - rows[:, 0]
-    (inverse,), (factor,) = Preconditioner.of_products([rows.T @ rows])
+    (inverse,), (factor,) = Preconditioner.from_products([rows.T @ rows])
     assert_allclose(factor @ inverse, np.eye(6), atol=1e-7)
     transformed = rows @ inverse
     lengths = np.linalg.norm(transformed, axis=0)
@@ -194,7 +194,7 @@ def test_patterns_that_are_not_finite(
 
 def test_joins_do_not_depend_on_the_order(rng: np.random.Generator) -> None:
     sets = [
-        JointFactors.of_rows(
+        JointFactors.from_rows(
             (rng.normal(size=(50, 4)), rng.normal(size=(60, 3))), np.array([5e1, 6e1])
         )
         for _ in range(20)

@@ -192,7 +192,7 @@ def test_reidentification_keeps_numbers(arm: tuple[CSLC, jc.Patterns]) -> None:
 
 
 def test_nothing_is_fixed_without_numbers(puma: CSLC) -> None:
-    assert puma.known_values == {} and Fixed.of_known(puma) is None
+    assert puma.known_values == {} and Fixed.from_known(puma) is None
 
 
 def test_robot_file(tmp_path: Path) -> None:
