@@ -221,28 +221,6 @@ ByPosition = Float[np.ndarray, "equations joints positions"]
 Rows = Float[np.ndarray, "equations joints"]
 Samples = Float[np.ndarray, "samples joints"]
 
-_DERIVATIVES = (
-    CArray("equations joints stencil"),
-    CArray("equations entries"),
-    CArray("ends", INTEGERS),
-)
-_CHANGE = CFunction(
-    SOURCE,
-    "change_equations",
-    (
-        *(*_DERIVATIVES, CArray("samples joints"), CArray("entries")),
-        *(CArray("equations joints", written=True), *[LONG] * 3),
-    ),
-)
-_ADD_GRADIENTS = CFunction(
-    SOURCE,
-    "add_gradients",
-    (
-        *(*_DERIVATIVES, CArray("equations joints"), CArray("samples joints", written=True)),
-        *(CArray("entries", written=True), *[LONG] * 3),
-    ),
-)
-
 
 def equation_changes(
     by_position: ByPosition,
@@ -264,15 +242,9 @@ def equation_changes(
     >>> equation_changes(by_position, by_border, position, np.array([1.0])).tolist()
     [[1321.0], [2864.0]]
     """
-    if not _CHANGE.is_available:
-        near = np.einsum("ejs,es->ej", by_position, stencil(position))
-        return near + by_border.times(border)
-    result = np.empty(by_position.shape[:2])
-    derivatives = _derivatives(by_position, by_border)
-    change = _CHANGE.bound(*derivatives, position, border[by_border.columns], result)
-    n = by_position.shape[1]
-    over_chunks(lambda first, last: change(first, last, n), len(result), _CHUNK)
-    return result
+    # C code takes 0.4 ms for 3,300 samples of a PUMA 560, this 0.7 ms.
+    near = np.einsum("ejs,es->ej", by_position, stencil(position))
+    return near + by_border.times(border)
 
 
 def equation_gradients(
@@ -289,29 +261,7 @@ def equation_gradients(
     """
     count, n, _ = by_position.shape
     of_positions = np.zeros((count + 2, n))
-    if not _ADD_GRADIENTS.is_available:
-        of_equations = np.einsum("ej,ejs->es", force, by_position)
-        for slot in range(3):
-            of_positions[slot : slot + count] += of_equations[:, slot * n : (slot + 1) * n]
-        return of_positions, by_border.summed(force)
-    bound = _ADD_GRADIENTS.bound(*_derivatives(by_position, by_border), force, of_positions)
-
-    def add(first: int, last: int) -> np.ndarray:
-        of_entries = np.zeros(len(by_border.columns))
-        bound(of_entries, first, last, n)
-        return of_entries
-
-    # The last equations of a chunk have samples that the next chunk has, too: they follow alone.
-    parts = over_chunks(
-        lambda first, last: add(first, last - _SHARED * (last < count)), count, _CHUNK
-    )
-    parts += [add(last - _SHARED, last) for last in range(_CHUNK, count, _CHUNK)]
-    of_border = np.zeros(by_border.shape[1])
-    np.add.at(of_border, by_border.columns, np.sum(parts, axis=0))
-    return of_positions, of_border
-
-
-def _derivatives(by_position: ByPosition, by_border: JointColumns) -> tuple[np.ndarray, ...]:
-    """Return the first arguments of both functions; values of each joint begin at the last."""
-    firsts = np.searchsorted(by_border.joints, np.arange(by_position.shape[1] + 1))
-    return by_position, by_border.values, firsts
+    of_equations = np.einsum("ej,ejs->es", force, by_position)
+    for slot in range(3):
+        of_positions[slot : slot + count] += of_equations[:, slot * n : (slot + 1) * n]
+    return of_positions, by_border.summed(force)

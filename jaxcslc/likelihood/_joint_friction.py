@@ -201,15 +201,14 @@ class JointFriction:
     ) -> None:
         """Add a part of both intervals: between their ends, the sample and the turn."""
         (before, after), turn, late = motion.h, motion.turn, motion.turn > 0.0
-        start, end = (
-            (-1.0, np.minimum(turn, 0.0), np.maximum(turn, 0.0), 1.0)[part + i] for i in (0, 1)
-        )
-        start_moves, end_moves = ((0.0, 1.0 - late, 1.0 * late, 0.0)[part + i] for i in (0, 1))
-        length, grows = end - start, end_moves - start_moves
-        sign = (-motion.direction, np.where(late, -1.0, 1.0) * motion.direction, motion.direction)[
-            part
-        ]
-        side = (-1.0, np.where(late, 1.0, -1.0), 1.0)[part]
+        edges = (-1.0, np.minimum(turn, 0.0), np.maximum(turn, 0.0), 1.0)
+        moves_of_edges = (0.0, 1.0 - late, 1.0 * late, 0.0)  # where the turn does
+        start, length = edges[part], edges[part + 1] - edges[part]
+        start_moves = moves_of_edges[part]
+        grows = moves_of_edges[part + 1] - start_moves
+        between = np.where(late, -1.0, 1.0)  # sign of what is between sample and turn
+        sign = (-1.0, between, 1.0)[part] * motion.direction
+        side = (-1.0, -between, 1.0)[part]
         h = np.where(side < 0.0, before, after)
         share, change = h / (before + after), motion.acceleration * h
         for node in _NODES:

@@ -1,6 +1,7 @@
 """Laws of residuals that are no squares: counts as intervals, and joints that stick."""
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import scipy
@@ -78,14 +79,29 @@ class Intervals:
     ) -> WorkingReadings:
         """Return values and derivatives at residuals [rad or m]; `weight` of those without
         intervals."""
-        value, weight, working = weight * residual**2, weight.copy(), residual.copy()
         rows = self.edge > 0.0
-        step, share = self.step[rows], self.share[rows]
-        of_interval = interval(residual[rows] / step, self.edge[rows])
-        value[rows] = share * of_interval.value
-        weight[rows] = share * of_interval.weight / step**2
-        working[rows] = of_interval.residual * step
-        return WorkingReadings(value, weight, working)
+        law = lambda x: interval(x, self.edge[rows])
+        return _replaced(residual, weight, rows, self.step[rows], law, self.share[rows])
+
+
+def _replaced(
+    residual: Float[np.ndarray, "*shape"],
+    weight: Float[np.ndarray, "*shape"],
+    rows: Bool[np.ndarray, "*shape"],
+    unit: Float[np.ndarray, " some"],
+    law: Callable[[np.ndarray], WorkingReadings],
+    share: Float[np.ndarray, " some"] | float = 1.0,
+) -> WorkingReadings:
+    """Return squares, but for some residuals a law of these in a unit of their own.
+
+    - `share`: of a residual that counts.
+    """
+    value, weight, working = weight * residual**2, weight.copy(), residual.copy()
+    of_law = law(residual[rows] / unit)
+    value[rows] = share * of_law.value
+    weight[rows] = share * of_law.weight / unit**2
+    working[rows] = of_law.residual * unit
+    return WorkingReadings(value, weight, working)
 
 
 def interval(
@@ -186,13 +202,8 @@ class Sticking:
     ) -> WorkingReadings:
         """Return values and derivatives at residuals [N m or N]; `weight` of all other
         equations."""
-        value, result, working = weight * residual**2, weight.copy(), residual.copy()
-        rows, noise = self.mask, self.noise[self.mask]
-        of_bound = bound(self.direction[rows] * residual[rows] / noise)
-        value[rows] = of_bound.value
-        result[rows] = of_bound.weight / noise**2
-        working[rows] = self.direction[rows] * of_bound.residual * noise
-        return WorkingReadings(value, result, working)
+        unit = self.direction[self.mask] * self.noise[self.mask]
+        return _replaced(residual, weight, self.mask, unit, bound)
 
 
 def bound(excess: Float[np.ndarray, " rows"]) -> WorkingReadings:

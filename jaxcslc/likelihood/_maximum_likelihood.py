@@ -146,7 +146,7 @@ class MaximumLikelihood:
         **Raises**
 
         - `ValueError`: recording and network differ in joints, the recording is too short, the
-          network has a payload or is too large, distances not n or of joints without dry friction.
+          network has a payload, distances are not n or of joints without dry friction.
         - `RuntimeError`: the regression that it starts from fails, or no bodies are possible.
         - `ImportError`: with `possible`, without the conic solver (the extra `inertia`).
         """

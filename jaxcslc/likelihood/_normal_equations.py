@@ -187,74 +187,12 @@ void add_equations(
         }
     }
 }
-
-/* The sum of products of so many numbers. */
-static double product(const double* one, const double* other, long count)
-{
-    lanes sums = {0.0};
-    double sum = 0.0;
-    for (; count >= LANES; count -= LANES, one += LANES, other += LANES)
-        sums += *(const lanes*)one * *(const lanes*)other;
-    for (; count; --count)
-        sum += *one++ * *other++;
-    for (int i = 0; i < LANES; ++i)
-        sum += sums[i];
-    return sum;
-}
-
-/* Adds a factor times so many numbers. */
-static void add_product(double factor, const double* one, double* sum, long count)
-{
-    for (; count >= LANES; count -= LANES, one += LANES, sum += LANES)
-        *(lanes*)sum += factor * *(const lanes*)one;
-    for (; count; --count)
-        *sum++ += factor * *one++;
-}
-
-/* How equations from `begin` to before `end` change, (count, n).
-
-   - by_position, values: as of `add_equations`; a joint's values begin at `firsts`, (n + 1).
-   - position: (count + 2, n) changes; border: (entries) those of each value. */
-void change_equations(
-    const double* by_position, const double* values, const long* firsts, const double* position,
-    const double* border, double* change, long begin, long end, long n)
-{
-    const long stencil = 3 * n, entries = firsts[n];
-    for (long e = begin; e < end; ++e) {
-        const double* const near = position + e * n;
-        for (long j = 0; j < n; ++j) {
-            const double* const a = by_position + (e * n + j) * stencil;
-            const double* const b = values + e * entries;
-            change[e * n + j] = product(a, near, stencil)
-                + product(b + firsts[j], border + firsts[j], firsts[j + 1] - firsts[j]);
-        }
-    }
-}
-
-/* Adds the derivatives of the same equations times `force`, (count, n), to those by positions and
-   by each value. */
-void add_gradients(
-    const double* by_position, const double* values, const long* firsts, const double* force,
-    double* position, double* border, long begin, long end, long n)
-{
-    const long stencil = 3 * n, entries = firsts[n];
-    for (long e = begin; e < end; ++e) {
-        double* const near = position + e * n;
-        for (long j = 0; j < n; ++j) {
-            const double factor = force[e * n + j];
-            const double* const a = by_position + (e * n + j) * stencil;
-            const double* const b = values + e * entries;
-            add_product(factor, a, near, stencil);
-            add_product(factor, b + firsts[j], border + firsts[j], firsts[j + 1] - firsts[j]);
-        }
-    }
-}
 """
 )
 
 
-# Columns that a thread solves for: all of them read the whole factor.
-_COLUMNS = 32
+# Columns that a thread solves for: all of them read the whole factor. LAPACK is as quick with few.
+_COLUMNS, _FEW_COLUMNS = 32, 8
 # Unknowns from which on threads are worth their start.
 _LONG = 20_000
 
@@ -286,7 +224,7 @@ def solved(
     >>> solved(factor, np.array([[4.0], [7.0]])).tolist()
     [[2.0], [1.0]]
     """
-    if not _SOLVE.is_available:
+    if right.shape[1] < _FEW_COLUMNS or not _SOLVE.is_available:
         return dtbtrs(factor, right, uplo="L", trans="T" if transposed else "N")[0]
     columns = np.ascontiguousarray(factor.T)
     whole = overwrite and right.flags.c_contiguous
