@@ -416,7 +416,7 @@ _STEPS = (1e-7, 1e-5, 1.0)
 _QUICKLY, _MOST_COMPILED = 5000, 25_000
 
 JointRows = Float[np.ndarray, "joints samples"]
-ByPosition = Float[np.ndarray, "samples joints positions"]
+ByPosition = Float[np.ndarray, "samples joints changed"]
 Columns = Float[np.ndarray, "entries samples"]
 
 
@@ -489,14 +489,13 @@ class SmoothTorque:
             steps=", ".join(map(str, _STEPS)),
             **statements,
         )
-        rows_of_joints, last = CArray("joints samples"), "samples joints changed"
         kinds = (
-            *(CArray("coefficients"), *[rows_of_joints] * 3),
-            *(CArray("kinds joints samples", optional=True),),
-            *(CArray("kinds positions samples", optional=True),),
+            *(CArray("coefficients"), *[CArray("joints samples")] * 3),
+            CArray("kinds joints samples", optional=True),
+            CArray("kinds positions samples", optional=True),
             CArray("joints samples", written=True),
             CArray("entries samples", written=True, optional=True),
-            CArray(last, written=True, optional=True),
+            CArray("samples joints changed", written=True, optional=True),
             LONG,
         )
         options = ("-O1",) if operations > _QUICKLY else ()
