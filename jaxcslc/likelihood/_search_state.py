@@ -155,7 +155,7 @@ def with_signs(
             break
         ambiguous = ambiguous | unmatched
     if before is not None:
-        turn = signs.from_moments(before.moments(point.turn, len(point.q)))
+        turn = signs.carried(before, point.turn)
     elif state.moments is not None:
         turn = signs.from_moments(state.moments)
     else:

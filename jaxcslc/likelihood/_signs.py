@@ -127,12 +127,12 @@ class Signs:
     def from_moments(
         self, moments: Float[np.ndarray, "samples _"]
     ) -> Float[np.ndarray, " reversals"]:
-        """Return the nearest moments of `moments` where these are near, else `self.turn`."""
-        offsets = np.arange(-_NEAR, _NEAR + 1)
-        near = moments[self.samples[:, None] + offsets, self.joints[:, None]] + offsets
-        apart = np.where(np.isnan(near), np.inf, np.abs(near))
-        at = np.arange(len(self.samples)), np.argmin(apart, axis=1)
-        return np.where(apart[at] < LATEST_TURN, near[at], self.turn)
+        """Return moments of these reversals where `moments` has them, else `self.turn`."""
+        result = self.turn.copy()
+        for offset in (-1, 1, 0):  # the latter's counts, where there are two
+            near = moments[self.samples + offset, self.joints] + offset
+            result = np.where(np.abs(near) < LATEST_TURN, near, result)
+        return result
 
     def without_moments(
         self, moments: Float[np.ndarray, "samples _"]
@@ -159,11 +159,24 @@ class Signs:
         result[self.samples[late] - 1, self.joints[late]] = True
         return result
 
+    def carried(
+        self, before: "Signs", turn: Float[np.ndarray, " earlier"]
+    ) -> Float[np.ndarray, " reversals"]:
+        """Return moments of these reversals where they are those of earlier signs, else
+        `self.turn`."""
+        moments = {
+            joint: (before.samples + turn)[before.joints == joint] for joint in set(before.joints)
+        }
+        result = self.turn.copy()
+        for index, (sample, joint) in enumerate(zip(self.samples, self.joints, strict=True)):
+            others = moments.get(joint, np.empty(0)) - sample
+            if len(others) and np.abs(others).min() < LATEST_TURN:
+                result[index] = others[np.abs(others).argmin()]
+        return result
+
 
 # A moment is at most so many intervals from its sample.
 LATEST_TURN = 1.4
-# Moments that are nearer than that belong to samples at most so many away.
-_NEAR = 2
 # A reversal is modelled if no other one is within so many samples.
 _ALONE = 4
 
