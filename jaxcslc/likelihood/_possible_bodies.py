@@ -12,8 +12,7 @@ from ..bodies import PhysicalParameters, Prior, fixed_bodies, physical_parameter
 from ..least_squares import Errors, Identification
 from ..network import CSLC
 from ._likelihood_fit import SPACED, LikelihoodFit, likelihood_fit
-from ._normal_equations import Factored
-from ._objective import Linear, Objective
+from ._objective import Linear
 from ._problem import LikelihoodProblem
 from ._search import Minimum, search, search_on
 from ._search_state import Levels, SearchState
@@ -37,16 +36,13 @@ class Profile:
     **Attributes**
 
     - `minimum`: of all else, with equations in which coefficients are unknown, too.
-    - `target`: (p,) coefficients at the minimum of the parabola about the present ones.
-    - `step`: to it, and `information`: (p, p), in units of `scale`; of coefficients that are known,
-      0.
+    - `step`: (p,) to the minimum of the parabola about the present coefficients; `information`:
+      (p, p); of coefficients that are known, 0.
     """
 
     minimum: Minimum
-    target: Coefficients
     step: Coefficients
     information: Float[np.ndarray, "coefficients coefficients"]
-    scale: Coefficients
 
     @classmethod
     def of(cls, minimum: Minimum, scale: Float[np.ndarray, " border"]) -> "Profile":
@@ -58,19 +54,24 @@ class Profile:
         unconfined = dataclasses.replace(
             minimum, objective=objective, linear=linear, factored=factored
         )
-        step, p = linear.step(factored, linear.residuals), len(minimum.point.k)
-        return cls(
-            unconfined,
-            objective.moved(minimum.point, step).k,
-            step.border[:p],
-            _eliminated(objective, factored, p),
-            scale[:p],
-        )
+        p, whole = len(minimum.point.k), factored.information
+        step = linear.step(factored, linear.residuals).border[:p] * scale[:p]
+        others = p + np.flatnonzero(scale[p:])  # slopes and offsets, which are eliminated
+        mixed = whole[np.ix_(others, np.arange(p))]
+        left = np.linalg.lstsq(whole[np.ix_(others, others)], mixed, rcond=None)[0]
+        per_unit = np.divide(1.0, scale[:p], where=scale[:p] > 0.0, out=np.zeros(p))
+        information = (whole[:p, :p] - mixed.T @ left) * np.outer(per_unit, per_unit)
+        return cls(unconfined, step, information)
 
     @property
     def k(self) -> Coefficients:
         """(p,) present coefficients."""
         return self.minimum.point.k
+
+    @property
+    def target(self) -> Coefficients:
+        """(p,) coefficients at the minimum of the parabola."""
+        return self.k + self.step
 
     def towards(
         self,
@@ -107,31 +108,16 @@ class Profile:
 
     def _size(self, change: Coefficients) -> float:
         """Return the square of a change, in the metric of the information."""
-        of_scale = self._scaled(change)
-        return float(of_scale @ self.information @ of_scale)
+        return float(change @ self.information @ change)
 
     def _bend(self, trial: Minimum) -> float:
         """Return the excess curvature of the sum of squares up to a trial, relative to its
         parabola's."""
         change = trial.point.k - self.k
         square = self._size(change)
-        promise = 2.0 * float(self._scaled(change) @ self.information @ self.step) - square
+        promise = 2.0 * float(change @ self.information @ self.step) - square
         fall = self.minimum.linear.present_value - trial.linear.present_value
         return (promise - fall) / square
-
-    def _scaled(self, change: Coefficients) -> Coefficients:
-        return np.where(self.scale > 0.0, change / np.where(self.scale > 0.0, self.scale, 1.0), 0.0)
-
-
-def _eliminated(
-    objective: Objective, factored: Factored, p: int
-) -> Float[np.ndarray, "coefficients coefficients"]:
-    """Return the information of coefficients, slopes and offsets eliminated."""
-    others = p + np.flatnonzero(objective.scale[p:])
-    of_others = factored.information[np.ix_(others, others)]
-    mixed = factored.information[np.ix_(others, np.arange(p))]
-    left = np.linalg.lstsq(of_others, mixed, rcond=None)[0]
-    return factored.information[:p, :p] - mixed.T @ left
 
 
 # Bodies follow positions, and positions bodies, until no coefficient moves by more than this part

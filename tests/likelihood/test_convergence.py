@@ -8,12 +8,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxcslc as jc
-from jaxcslc.likelihood import Minimum, SearchState, search, search_on
+from jaxcslc.likelihood import LikelihoodProblem, Minimum, Point, SearchState, search, search_on
 from jaxcslc.likelihood._levenberg import PROMISE, LinearMinimum
 from jaxcslc.likelihood._objective import Linear
-from jaxcslc.likelihood._point import Point
 from jaxcslc.likelihood._possible_bodies import Profile
-from jaxcslc.likelihood._problem import LikelihoodProblem, starting_point
 from jaxcslc.likelihood._search_state import (
     SIGN_STEPS,
     Stage,
@@ -52,8 +50,8 @@ def swing(seed: int, samples: int, noise: float) -> jc.Recording:
 def start(
     network: jc.CSLC, recording: jc.Recording
 ) -> tuple[LikelihoodProblem, Point, SearchState]:
-    problem, (point, torque_noise, position_noise) = starting_point(
-        network, [recording], jc.Settings(), "sampled", None, None
+    problem, (point, torque_noise, position_noise) = jc.MaximumLikelihood("sampled").start(
+        network, [recording], None, 1
     )
     state = SearchState.start(
         problem, point, torque_noise, position_noise, fixed=True, edge=None, moments=None
@@ -148,7 +146,7 @@ def test_steps_of_bodies_are_as_long_as_the_sum_of_squares_lets_them(
 
     def search_with(k: np.ndarray, state: SearchState) -> Minimum:
         trial = search_on(problem, state, k, lambda words: None)
-        moved = (k - profile.k) / profile.scale
+        moved = k - profile.k
         more = bend * float(moved @ profile.information @ moved)
         value = trial.linear.present_value + more
         linear = dataclasses.replace(trial.linear, present_value=value)

@@ -11,7 +11,9 @@ from numpy.testing import assert_allclose
 import jaxcslc as jc
 from jaxcslc.likelihood import (
     MotionEquations,
+    Point,
     RowSums,
+    Step,
     TorqueRecord,
     _likelihood_fit as _rows,
     eliminated_rows,
@@ -24,7 +26,6 @@ from jaxcslc.likelihood._blocks import (
     ReversalBlock,
 )
 from jaxcslc.likelihood._objective import Linear, Objective
-from jaxcslc.likelihood._point import Point, Step
 from jaxcslc.likelihood._signs import LATEST_TURN, Signs
 from tests import arms
 from tests.likelihood.traced_equations import TracedEquations

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from jaxcslc.likelihood import MotionEquations, TorqueRecord
+from jaxcslc.likelihood import MotionEquations, Point, Step, TorqueRecord
 from jaxcslc.likelihood._blocks import MotionBlock, PriorBlock, ReadingBlock, ReversalBlock
 from jaxcslc.likelihood._laws import Intervals, Sticking
 from jaxcslc.likelihood._levenberg import LinearMinimum
 from jaxcslc.likelihood._objective import Linear, Objective, Residuals
-from jaxcslc.likelihood._point import Point, Step
 from jaxcslc.likelihood._signs import Signs
 from tests import arms
 

@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 import jaxcslc as jc
 from jaxcslc.likelihood import search
 from jaxcslc.likelihood._laws import bound, sticking_equations
-from jaxcslc.likelihood._problem import starting_point
 from tests import arms
 
 
@@ -77,7 +76,7 @@ def test_friction_at_rest_is_expected_above_dry_friction() -> None:
     network = arms.turntable("dry", "static")
     time = 0.01 * np.arange(200)
     recording = jc.Recording(time, np.sin(2 * time)[:, None], np.cos(2 * time)[:, None])
-    problem, (point, *_) = starting_point(network, [recording], jc.Settings(), "held", None, None)
+    problem, (point, *_) = jc.MaximumLikelihood("held").start(network, [recording], None, 1)
     static = network.layout.indices("static")[0]
     deviation = []
     for value in (0.5, -0.5):
@@ -92,8 +91,8 @@ def test_friction_at_rest_is_expected_above_dry_friction() -> None:
 @pytest.mark.parametrize("fixed", [False, True])
 def test_bounds_say_nothing_of_coefficients_that_are_fixed(fixed: bool) -> None:
     network = arms.turntable("viscous", "dry")
-    problem, (point, torque_noise, position_noise) = starting_point(
-        network, [ramp(0.75)], jc.Settings(), "held", None, None
+    problem, (point, torque_noise, position_noise) = jc.MaximumLikelihood("held").start(
+        network, [ramp(0.75)], None, 1
     )
     minimum = search(
         problem.fixing("k") if fixed else problem,
