@@ -124,7 +124,7 @@ class TestBadInput:
             jc.MaximumLikelihood(prior=Prior({"kv1": Known(low=0.0)}))
 
     def test_links(self) -> None:
-        with pytest.raises(ValueError, match="takes coefficients, got links"):
+        with pytest.raises(ValueError, match=r"takes coefficients; \[links\] needs"):
             jc.MaximumLikelihood(prior=Prior(links={"1": {"mass": Known(1.0)}}))
 
     def test_every(self, disc: jc.CSLC) -> None:
