@@ -92,7 +92,7 @@ def _replaced(
     law: Callable[[np.ndarray], WorkingReadings],
     share: Float[np.ndarray, " some"] | float = 1.0,
 ) -> WorkingReadings:
-    """Return squares, but for some residuals a law of these in a unit of their own.
+    """Return squares, and of some residuals a law, in a unit of their own.
 
     - `share`: of a residual that counts.
     """

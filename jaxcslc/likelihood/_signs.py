@@ -127,7 +127,7 @@ class Signs:
     def from_moments(
         self, moments: Float[np.ndarray, "samples _"]
     ) -> Float[np.ndarray, " reversals"]:
-        """Return moments of these reversals where `moments` has them, else `self.turn`."""
+        """Return moments of the reversals from `moments` where it has them, else `self.turn`."""
         result = self.turn.copy()
         for offset in (-1, 1, 0):  # the latter's counts, where there are two
             near = moments[self.samples + offset, self.joints] + offset
@@ -162,7 +162,7 @@ class Signs:
     def carried(
         self, before: "Signs", turn: Float[np.ndarray, " earlier"]
     ) -> Float[np.ndarray, " reversals"]:
-        """Return moments of these reversals where they are those of earlier signs, else
+        """Return moments of the reversals, those of earlier signs where there are, else
         `self.turn`."""
         moments = {
             joint: (before.samples + turn)[before.joints == joint] for joint in set(before.joints)
