@@ -65,7 +65,8 @@ def help_text(
     usage = " ".join(["usage: jaxcslc", name, *map(usage_of, arguments), "[OPTIONS]"])
     parts = [usage]
     if group in ("", ALL):
-        parts += [textwrap.fill(" ".join(part.split()), width) for part in about.split("\n\n")]
+        paragraphs = (" ".join(part.split()) for part in about.split("\n\n"))
+        parts += [textwrap.fill(text, width, break_on_hyphens=False) for text in paragraphs]
         if arguments:
             rows = [(some.metavar, described(some)) for some in arguments]
             parts.append(_section("arguments", rows, width))
@@ -112,7 +113,7 @@ def _section(title: str, rows: Sequence[tuple[str, str]], width: int, column: in
     """Return a title above rows whose right texts begin in one column."""
     lines = [title]
     for left, right in rows:
-        texts = textwrap.wrap(right, width - column) or [""]
+        texts = textwrap.wrap(right, width - column, break_on_hyphens=False) or [""]
         if len(left) > column - 4:
             lines.append(f"  {left}")
             left = ""

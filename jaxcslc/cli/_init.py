@@ -68,9 +68,11 @@ def init_command(
         robot = _with_joints_of_log(file, log, robot, part, mapping, found)
         step("checking")
         page = _corrected(log, robot, mapping, found)
-    found.decide("friction", f"{', '.join(robot.friction_terms)} at every joint (friction)")
-    if robot.source is not None and robot.source.format != "toml":
-        found.entries["friction"] = list(robot.friction_terms)
+    terms = list(robot.friction_terms)
+    if robot.source is None or robot.source.format == "toml":
+        found.decide("friction", f"{', '.join(terms)}, as in the robot file")
+    else:
+        found.decide("friction", f"{', '.join(terms)} at every joint (friction)", friction=terms)
     with unfinished(path) as scratch:
         scratch.write_text(
             _text(found.entries, file, log), encoding="utf-8", errors="backslashreplace"
