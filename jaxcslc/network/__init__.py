@@ -52,6 +52,7 @@ from .terms import (
     Rows as Rows,
     carrier as carrier,
     code as code,
+    content_hash as content_hash,
     input_rows as input_rows,
     nested as nested,
 )

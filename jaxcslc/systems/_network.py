@@ -5,11 +5,10 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ..derivation import Coefficient
-from ..network import AbstractLinearNetwork, AbstractTerm
+from ..network import AbstractLinearNetwork, AbstractTerm, content_hash
 from ._system import Formulas, System
 
 
@@ -48,11 +47,8 @@ class SystemTerm(AbstractTerm):
             for i in range(self.output_count)
         )
 
-    # `jax.jit(network.torque)` looks the method up by its hash, and arrays have none.
     def __hash__(self) -> int:
-        if isinstance(self.nonlinear, Tracer):
-            return id(self.nonlinear)
-        return hash((self.formulas, np.asarray(self.nonlinear).tobytes()))
+        return content_hash(self.formulas, self.nonlinear)
 
     def _values(self, *motion: Batch) -> dict[tuple[int, int], Any]:
         """Return the value of each of `entries`."""

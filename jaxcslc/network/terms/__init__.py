@@ -55,4 +55,5 @@ from ._term import (
     Matrices as Matrices,
     Regressor as Regressor,
     Rows as Rows,
+    content_hash as content_hash,
 )
