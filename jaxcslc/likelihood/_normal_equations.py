@@ -1,4 +1,4 @@
-"""C code of banded normal equations whose border is in all equations; for sizes of any kind."""
+"""Banded normal equations with a border: C code, factorisation and solution, for any sizes."""
 
 import dataclasses
 from functools import cached_property
