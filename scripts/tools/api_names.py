@@ -68,7 +68,7 @@ def with_descriptions(markdown: str) -> str:
     """Return a page of docs/api with a table of its names, or with descriptions in its own."""
     if _ROW.search(markdown):
         markdown = markdown.replace(
-            "| name | page |\n|---|---|", "| name | | page |\n|---|---|---|"
+            "| name | page |\n|---|---|", "| name | description | page |\n|---|---|---|"
         )
         return _ROW.sub(
             lambda row: (
@@ -81,7 +81,7 @@ def with_descriptions(markdown: str) -> str:
     start = _LISTED.search(markdown)
     if start is None or len(rows) < 2:
         return markdown
-    table = "\n".join(["| name | |", "|---|---|", *rows])
+    table = "\n".join(["| name | description |", "|---|---|", *rows])
     return f"{markdown[: start.start()]}{table}\n\n{markdown[start.start() :]}"
 
 

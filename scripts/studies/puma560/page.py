@@ -289,7 +289,7 @@ def _column(name: str, values: Sequence[Any]) -> Column:
     text = any(isinstance(value, str | bool | np.bool_) for value in values)
     tones = _VERDICTS if name == "verdict" else {}
     wide = text and name not in ("", "name", "unit", "verdict")
-    return Column(name.replace("_", " "), numeric=not text, tones=tones, wide=wide)
+    return Column(name.replace("_", " ") or "quantity", numeric=not text, tones=tones, wide=wide)
 
 
 def _value(value: Any) -> Any:
