@@ -1,6 +1,7 @@
 """C99 for a robot: what each function computes, and the text of header and source."""
 
 import re
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -234,7 +235,7 @@ def c_functions(
 
 
 _WIDTH = 100  # of a line of declarations [characters]
-_COMMENT_WIDTH = 95
+_COMMENT_WIDTH = 96  # of a line of comments [characters]
 _LONGEST = 90  # of an expression that is written where it is used [characters]
 # What is not a number stays none, as in Python: a friction of 0 would hide a velocity that is lost.
 _DEFINITIONS = {
@@ -370,12 +371,7 @@ def _joint_names(network: CSLC) -> list[str]:
 
 
 def _wrapped(text: str) -> list[str]:
-    lines = [""]
-    for word in text.split():
-        if lines[-1] and len(lines[-1]) + len(word) > _COMMENT_WIDTH:
-            lines.append("")
-        lines[-1] += f"{' ' if lines[-1] else ''}{word}"
-    return lines
+    return textwrap.wrap(text, _COMMENT_WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
 @dataclass(frozen=True)

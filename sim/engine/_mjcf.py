@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from jaxcslc.manipulator import LinkParameters, Manipulator
+from jaxcslc.manipulator import Joint, LinkParameters, Manipulator
 from sim.machine._bodies import MachineError, possible_links
 
 
@@ -123,20 +123,8 @@ def mjcf(
     ]
     bodies = rigid_bodies(robot, links)
     for i, (joint, link, body) in enumerate(zip(robot.joints, links, bodies, strict=True)):
-        a, d = float(joint.a.value or 0.0), float(joint.d.value or 0.0)
-        position = (a, -math.sin(joint.alpha) * d, math.cos(joint.alpha) * d)
-        ca, sa = math.cos(joint.alpha / 2), math.sin(joint.alpha / 2)
-        ct, st = math.cos(joint.theta / 2), math.sin(joint.theta / 2)
-        rotation = (ca * ct, sa * ct, -sa * st, ca * st)
         motor = 0.0 if i in soft else float(link.motor_inertia)
-        pad = "  " * (i + 2)
-        lines += [
-            f'{pad}<body name="link_{i + 1}" pos="{_numbers(position)}"'
-            f' quat="{_numbers(rotation)}">',
-            f'{pad}  <inertial pos="{_numbers(body.centre)}" mass="{body.mass!r}"'
-            f' quat="{_numbers(body.axes)}" diaginertia="{_numbers(body.moments)}"/>',
-            f"{pad}  {joint_line(f'joint_{i + 1}', i, motor, i)}",
-        ]
+        lines += _link_lines(i, joint, body, joint_line(f"joint_{i + 1}", i, motor, i))
     lines += ["  " * (i + 2) + "</body>" for i in reversed(range(n))]
     for dof, i in enumerate(soft, start=n):
         lines += [
@@ -146,25 +134,52 @@ def mjcf(
             f"      {joint_line(f'rotor_{i + 1}', i, float(links[i].motor_inertia), dof)}",
             "    </body>",
         ]
-    lines += ["  </worldbody>"]
-    if soft:
-        lines += ["  <tendon>"]
-        for i in soft:
-            half = 0.0 if backlash is None else float(backlash[i]) / 2
-            loss = 0.0 if transmission_damping is None else float(transmission_damping[i])
-            lines += [
-                f'    <fixed name="gears_{i + 1}" springlength="{-half!r} {half!r}"'
-                f' stiffness="{float(stiffness[i])!r}" damping="{loss!r}">',
-                f'      <joint joint="rotor_{i + 1}" coef="1"/>',
-                f'      <joint joint="joint_{i + 1}" coef="-1"/>',
-                "    </fixed>",
-            ]
-        lines += ["  </tendon>"]
+    lines += [
+        "  </worldbody>",
+        *_transmission_lines(soft, stiffness, backlash, transmission_damping),
+    ]
     lines += ["  <actuator>"]
     actuated = [f"rotor_{i + 1}" if i in soft else f"joint_{i + 1}" for i in range(n)]
     lines += [f'    <motor name="drive_{i + 1}" joint="{actuated[i]}"/>' for i in range(n)]
     lines += ["  </actuator>", "</mujoco>"]
     return "\n".join(lines) + "\n"
+
+
+def _link_lines(i: int, joint: Joint, body: "RigidBody", joint_line: str) -> list[str]:
+    """Begin of the body of a link, from 0, in the body before it."""
+    a, d = float(joint.a.value or 0.0), float(joint.d.value or 0.0)
+    position = (a, -math.sin(joint.alpha) * d, math.cos(joint.alpha) * d)
+    ca, sa = math.cos(joint.alpha / 2), math.sin(joint.alpha / 2)
+    ct, st = math.cos(joint.theta / 2), math.sin(joint.theta / 2)
+    rotation = (ca * ct, sa * ct, -sa * st, ca * st)
+    pad = "  " * (i + 2)
+    return [
+        f'{pad}<body name="link_{i + 1}" pos="{_numbers(position)}" quat="{_numbers(rotation)}">',
+        f'{pad}  <inertial pos="{_numbers(body.centre)}" mass="{body.mass!r}"'
+        f' quat="{_numbers(body.axes)}" diaginertia="{_numbers(body.moments)}"/>',
+        f"{pad}  {joint_line}",
+    ]
+
+
+def _transmission_lines(
+    soft: Sequence[int],
+    stiffness: Sequence[float],
+    backlash: Sequence[float] | None,
+    damping: Sequence[float] | None,
+) -> list[str]:
+    """Tendons between rotors and links of flexible transmissions."""
+    lines: list[str] = []
+    for i in soft:
+        half = 0.0 if backlash is None else float(backlash[i]) / 2
+        loss = 0.0 if damping is None else float(damping[i])
+        lines += [
+            f'    <fixed name="gears_{i + 1}" springlength="{-half!r} {half!r}"'
+            f' stiffness="{float(stiffness[i])!r}" damping="{loss!r}">',
+            f'      <joint joint="rotor_{i + 1}" coef="1"/>',
+            f'      <joint joint="joint_{i + 1}" coef="-1"/>',
+            "    </fixed>",
+        ]
+    return ["  <tendon>", *lines, "  </tendon>"] if lines else []
 
 
 class RigidBody(NamedTuple):

@@ -261,17 +261,20 @@ def record_each(
             else:
                 bar.update(job.trajectory.samples)
                 yield i, kept
-        for group in groups.values():
-            for start in range(0, len(group), size):
-                part = group[start : start + size]
-                # MJX compiles for a number of machines: fill the last part up.
-                padding = size - len(part) if backend == "mjx" and len(group) > size else 0
-                padded = [jobs[i] for i in (*part, *[part[-1]] * padding)]
-                results = run(padded, bar.update)[: len(part)]
-                for i, result in zip(part, results, strict=True):
-                    if folder is not None and not isinstance(result, SimulationError):
-                        save(folder, names[i], result)
-                    yield i, result
+        parts = [
+            (group[start : start + size], len(group) > size)
+            for group in groups.values()
+            for start in range(0, len(group), size)
+        ]
+        for part, is_one_of_several in parts:
+            # MJX compiles for a number of machines: fill the last part up.
+            padding = size - len(part) if backend == "mjx" and is_one_of_several else 0
+            padded = [jobs[i] for i in (*part, *[part[-1]] * padding)]
+            results = run(padded, bar.update)[: len(part)]
+            for i, result in zip(part, results, strict=True):
+                if folder is not None and not isinstance(result, SimulationError):
+                    save(folder, names[i], result)
+                yield i, result
 
 
 def _runner(
