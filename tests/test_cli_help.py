@@ -175,6 +175,8 @@ def test_completion_names_commands_and_options(shell: str, tmp_path: Path) -> No
     assert result.exit_code == 0, result.output
     for word in (*COMMANDS, "quality", "decimate", "torque-lag", "maximum-likelihood"):
         assert word in result.stdout
+    for word in ("--every", "likelihood-every", "demanded"):  # names of before
+        assert word not in result.stdout
     if program := shutil.which(shell):
         script = tmp_path / "script"
         script.write_text(result.stdout, "utf-8")

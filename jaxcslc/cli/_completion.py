@@ -35,7 +35,7 @@ def completion_command(
         known = command_named(name)
         parser = commands.add_parser(name, help=summaries[name], description=known.about)
         parser.add_argument("--help-all", action="store_true", help="Show all options.")
-        for parameter, action in add_options(parser, known.parameters):
+        for parameter, action in add_options(parser, known.parameters, old=False):
             action.choices = parameter.choices or None
             if parameter.item is Path:
                 vars(action)["complete"] = shtab.FILE

@@ -97,8 +97,8 @@ def grouped(parameters: Sequence[Parameter]) -> dict[str, list[Parameter]]:
 
 def option_text(parameter: Parameter) -> str:
     """Return an option as help shows it: `-o, --output FOLDER`."""
-    short = [name for name in parameter.names if not name.startswith("--")]
-    return f"{', '.join([*short, parameter.typed])} {parameter.metavar}".rstrip()
+    names = ", ".join([*parameter.short_names, parameter.typed])
+    return f"{names} {parameter.metavar}".rstrip()
 
 
 def described(parameter: Parameter) -> str:

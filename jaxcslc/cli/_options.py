@@ -76,6 +76,11 @@ class Parameter:
         return self.option.names or ("--" + self.name.replace("_", "-"),)
 
     @functools.cached_property
+    def short_names(self) -> tuple[str, ...]:
+        """Names of one letter."""
+        return tuple(name for name in self.names if not name.startswith("--"))
+
+    @functools.cached_property
     def shown_name(self) -> str:
         """The long name of now."""
         return next(name for name in self.names if name.startswith("--"))
@@ -193,22 +198,26 @@ class _Parser(argparse.ArgumentParser):
 
 
 def add_options(
-    parser: argparse.ArgumentParser, parameters: Sequence[Parameter]
+    parser: argparse.ArgumentParser, parameters: Sequence[Parameter], *, old: bool = True
 ) -> Iterator[tuple[Parameter, argparse.Action]]:
-    """Add the options among the parameters to a parser, one by one."""
+    """Add the options among the parameters to a parser, one by one.
+
+    - `old`: whether to add their names of before, too.
+    """
     for parameter in parameters:
         text = parameter.option.help.replace("%", "%%")
         settings: Values = {"dest": parameter.name, "help": text}
         if parameter.option.positional:
             continue
+        names = parameter.names if old else (*parameter.short_names, parameter.shown_name)
         if parameter.item is bool:
             kind = argparse.BooleanOptionalAction
-            yield parameter, parser.add_argument(*parameter.names, action=kind, **settings)
+            yield parameter, parser.add_argument(*names, action=kind, **settings)
             continue
         action = "append" if parameter.many else "store"
         settings |= {"action": action, "metavar": parameter.metavar}
-        yield parameter, parser.add_argument(*parameter.names, **settings)
-        for flag, value in parameter.option.flags:
+        yield parameter, parser.add_argument(*names, **settings)
+        for flag, value in parameter.option.flags if old else ():
             hidden: Values = {"dest": parameter.name, "help": argparse.SUPPRESS, "const": value}
             parser.add_argument(flag, action="store_const", **hidden)
 
