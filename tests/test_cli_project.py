@@ -168,6 +168,9 @@ class TestProject:
         assert context.values["fix"] is None and context.values["robot"] == "panda"
         assert "jaxcslc.toml is about arm.urdf; not used for panda" in capsys.readouterr().err
         assert command_named("derive").context(["arm.urdf"]).values["fix"] == ["grip"]
+        Path("jaxcslc.toml").unlink()
+        missing = run("identify", "log.csv").stderr
+        assert "log.csv: expected a robot first" in missing and "in jaxcslc.toml" in missing
         assert run("compare", "a", "b").stderr.startswith("jaxcslc: a: no such")
 
     @pytest.mark.parametrize(

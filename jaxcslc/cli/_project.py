@@ -51,6 +51,11 @@ class Project:
             if not same:
                 print(f"note: {FILE} is about {robot}; not used for {words[0]}", file=sys.stderr)
             return (others if same else {}), list(words)
+        if robot is None and words:
+            raise UsageError(
+                f"{words[0]}: expected a robot first, as {', '.join(_ROBOT_FILES)} or a name, or"
+                f" robot = ... in {FILE}"
+            )
         return others, [*([] if robot is None else [robot]), *words]
 
 
