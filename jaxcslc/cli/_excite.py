@@ -291,6 +291,7 @@ def excite_command(
         "value": design.value,
         "relative_errors": design.relative_errors(),
         "undetermined": design.undetermined,
+        "collisions": design.collisions,
         "notes": design.notes,
     }
     return Output("\n".join(lines), data, paths)
