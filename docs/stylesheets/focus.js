@@ -1,4 +1,5 @@
-// Code that is wider than the page can be scrolled by the keyboard.
-document.addEventListener("DOMContentLoaded", () => {
-  for (const code of document.querySelectorAll("pre > code")) code.tabIndex = 0;
+// Code and tables that are wider than the page can be scrolled by the keyboard.
+window.addEventListener("load", () => {
+  for (const wide of document.querySelectorAll("pre > code, .md-typeset__scrollwrap"))
+    wide.tabIndex = 0;
 });
