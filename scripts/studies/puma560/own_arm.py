@@ -15,6 +15,7 @@ from jaxcslc.report import (
     ArmChart,
     Code,
     Column,
+    Grid,
     Link,
     Page,
     PanelChart,
@@ -33,7 +34,7 @@ jaxcslc identify panda.urdf train.csv --validate validation.csv -o results
 jaxcslc export panda.urdf results -o panda_identified.urdf
 jaxcslc excite panda.urdf --previous results --duration 10 -o next.csv"""
 _IDENTIFY = COMMANDS.splitlines()[2]
-_REPLAYED = 0.5  # s of simulation that is reported
+_SIMULATED = 0.5  # s of simulation that is reported
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,13 +45,13 @@ class OwnArm:
 
     - `report`: what `jaxcslc identify` writes.
     - `truth`: the true coefficients.
-    - `replay`: errors of the arm's position after half a second of simulation by recorded torques,
-      with identified parameters and with those of the file [m]; None if nothing was simulated.
+    - `distances`: errors of the hand's position after half a second of simulation by recorded
+      torques, with identified parameters and with those of the file [m]; None if there was none.
     """
 
     report: jc.Report
     truth: np.ndarray
-    replay: tuple[float, float] | None
+    distances: tuple[float, float] | None
 
     @property
     def contained(self) -> str:
@@ -62,17 +63,17 @@ class OwnArm:
     @property
     def sentences(self) -> tuple[str, ...]:
         """What the truth, and a simulation if there is one, say of the report."""
-        return (self.contained,) if self.replayed is None else (self.contained, self.replayed)
+        return (self.contained,) if self.simulated is None else (self.contained, self.simulated)
 
     @property
-    def replayed(self) -> str | None:
-        """The errors of the replay in a sentence; None if nothing was simulated."""
-        if self.replay is None:
+    def simulated(self) -> str | None:
+        """The errors of the simulation in a sentence; None if nothing was simulated."""
+        if self.distances is None:
             return None
-        identified, file = self.replay
+        identified, file = self.distances
         return (
-            f"replay of {_REPLAYED:g} s by recorded torques: the hand is {1e3 * identified:.1f} mm"
-            f" off, with the values of the robot file {1e3 * file:.0f} mm"
+            f"simulated for {_SIMULATED:g} s by recorded torques alone: the hand is"
+            f" {1e3 * identified:.1f} mm off, with the values of the robot file {1e3 * file:.0f} mm"
         )
 
 
@@ -81,7 +82,7 @@ def identify_example(folder: Path, *, quick: bool = False) -> OwnArm:
 
     **Arguments**
 
-    - `quick`: without the replay, which takes half a minute.
+    - `quick`: without the simulation, which takes half a minute.
     """
     example = jc.examples.write_example("panda", folder)
     network = jc.derive(jc.load_robot(example.robot))
@@ -93,11 +94,11 @@ def identify_example(folder: Path, *, quick: bool = False) -> OwnArm:
     truth = np.asarray(jc.examples.read_truth(example, network))
     drawing = picture(report, train, held_out, truth)
     (folder / "identify.svg").write_text(drawing, encoding="utf-8")
-    return OwnArm(report, truth, None if quick else _replay(report))
+    return OwnArm(report, truth, None if quick else _distances(report))
 
 
-def _replay(report: jc.Report) -> tuple[float, float]:
-    row = report.horizon.horizons.tolist().index(_REPLAYED)
+def _distances(report: jc.Report) -> tuple[float, float]:
+    row = report.horizon.horizons.tolist().index(_SIMULATED)
     identified, file = (float(report.horizon.distance[name][row]) for name in ("fit", "file"))
     return identified, file
 
@@ -157,19 +158,19 @@ def _friction_table(arm: OwnArm) -> Table:
 
 
 def _charts(page: Page) -> list[AbstractBlock]:
-    """The arm's bodies, and measured and predicted torque of the held-out log."""
-    blocks = list(_flattened([block for section in page.sections for block in section.blocks]))
-    arms = [block for block in blocks if isinstance(block, ArmChart)]
-    torques = [
-        block
-        for block in blocks
-        if isinstance(block, PanelChart) and block.caption.startswith("validation recording")
+    """The arm's bodies; measured and predicted torque of a shoulder and an elbow joint."""
+    blocks = [block for section in page.sections for block in _flattened(section.blocks)]
+    (bodies,) = (block for block in blocks if isinstance(block, ArmChart))
+    # The validation recording comes first, a chart per joint.
+    torques = [block for block in blocks if isinstance(block, PanelChart)]
+    shown = [
+        dataclasses.replace(
+            torques[joint - 1],
+            caption=f"Joint {joint} on the second log: measured and predicted torque, and residual",
+        )
+        for joint in (2, 4)
     ]
-    # Two joints of the shoulder and the elbow, each with its residual.
-    return [
-        *arms,
-        *(dataclasses.replace(c, panels=(*c.panels[2:4], *c.panels[6:8])) for c in torques[:1]),
-    ]
+    return [bodies, Grid(tuple(shown))]
 
 
 def _flattened(blocks: Sequence[AbstractBlock]) -> Iterator[AbstractBlock]:

@@ -119,6 +119,7 @@ def test_page_has_every_table_and_figure(demo: Demo) -> None:
 
 def test_front_page_shows_the_tool_then_the_thesis(demo: Demo) -> None:
     page = (demo.folder / "index.html").read_text(encoding="utf-8")
+    assert page.count("data-chart=") == 3  # the arm, and the torques of two joints
     page = re.sub("<(script|style).*?</\\1>", "", page, flags=re.DOTALL)
     headings = re.findall(r"<h2[^>]*>([^<]+)</h2>", page)
     assert headings == [
