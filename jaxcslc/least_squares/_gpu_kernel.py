@@ -29,7 +29,9 @@ _TILE = 8
 # Blocks that a multiprocessor holds at once, so that one computes columns while another multiplies,
 # and its memory for them [bytes]: of a PUMA 560 four, of a Panda two.
 _MOST_RESIDENT = 4
-_SHARED = 227 * 1024
+_SHARED, _RESERVED = 227 * 1024, 1024  # of which a block takes so many besides its own
+# Multiprocessors of a device that does not say: those of an A100.
+_MULTIPROCESSORS = 108
 # Shared memory of a block that GPUs of compute capability 8.0 and 9.0 have [bytes].
 _SHARED_BY_BLOCK = 160_000
 # Of an 8 x 4 piece of a matrix that a warp multiplies by: a row and a column for each thread.
@@ -92,7 +94,7 @@ def gram_kernel(network: CSLC) -> GramKernel:
     motion, outputs = weighted_columns(network)
     sizes = tuple(len(row) + 1 for row in network.support)
     source, shared, resident = _source(motion, sizes, outputs)
-    return GramKernel(Kernel("grams", source, 32 * WARPS, shared), sizes, resident)
+    return GramKernel(Kernel("grams", source, _PATTERNS * WARPS, shared), sizes, resident)
 
 
 def _source(
@@ -112,7 +114,7 @@ def _source(
             return _input_text(operation.text, len(motion.q), len(sizes))
         if operation.name in ("sin", "cos"):
             angle = angles.index(operation.arguments[0])
-            return f"trigonometry[{32 * (2 * angle + (operation.name == 'sin'))} + lane]"
+            return f"trigonometry[{_PATTERNS * (2 * angle + (operation.name == 'sin'))} + lane]"
         return None
 
     text = KernelText(graph, reading)
@@ -126,7 +128,10 @@ def _source(
     ]
     turns = [
         text.statements(
-            (Value(graph, angle), _SINE_AND_COSINE.format(64 * i, 64 * i + 32))
+            (
+                Value(graph, angle),
+                _SINE_AND_COSINE.format(*(_PATTERNS * (2 * i + j) for j in range(2))),
+            )
             for i, angle in enumerate(angles)
             if i % WARPS == warp
         )
@@ -135,18 +140,18 @@ def _source(
     products, results, accumulators = _products(sizes)
     tiles = sum(len(tiles_of(size)) for size in sizes)
     rows = sum(sizes) + 3  # what is read behind the last joint's counts for nothing
-    doubles = 64 * tiles + 64 * len(angles) + _STRIDE * rows
+    doubles = _TILE**2 * tiles + 2 * _PATTERNS * len(angles) + _STRIDE * rows
     shared = 8 * doubles + 4 * (sum(sizes) + sum(sizes) % 2)
-    resident = max(min(_SHARED // (shared + 1024), _MOST_RESIDENT), 1)
+    resident = max(min(_SHARED // (shared + _RESERVED), _MOST_RESIDENT), 1)
     source = _KERNEL.format(
         joints=len(motion.q),
-        inverse=64 * tiles,
-        trigonometry=64 * len(angles),
+        inverse=_TILE**2 * tiles,
+        trigonometry=2 * _PATTERNS * len(angles),
         rows=_STRIDE * rows,
         count=sum(sizes),
         padding=_STRIDE * sum(sizes),
         stride=_STRIDE,
-        threads=32 * WARPS,
+        threads=_PATTERNS * WARPS,
         accumulators=accumulators,
         turns=_by_warp(turns),
         columns=_by_warp(columns),
@@ -213,8 +218,9 @@ def _products(sizes: Sequence[int]) -> tuple[list[list[str]], list[list[str]], i
         for joint in joints:
             high, steps = -(-sizes[joint] // _TILE), -(-sizes[joint] // 4)
             row = sum(sizes[:joint])
+            inverse = _TILE**2 * firsts[joint]
             lines.append(
-                f"products<{high}, {steps}>(rows + {_STRIDE * row}, inverse + {64 * firsts[joint]},"
+                f"products<{high}, {steps}>(rows + {_STRIDE * row}, inverse + {inverse},"
                 f" sums + {2 * used}, lane);"
             )
             ends.append(
@@ -249,8 +255,8 @@ def fused_gram_matrices(
     In one kernel: columns stay in a multiprocessor's memory.
     """
     packed, rows = packed_inverses(kernel.sizes, [jnp.asarray(x) for x in inverses])
-    blocks = kernel.resident * int(getattr(jax.devices()[0], "core_count", 108))
-    result = jax.ShapeDtypeStruct((blocks, kernel.tiles, 8, 8), jnp.float64)
+    blocks = kernel.resident * int(getattr(jax.devices()[0], "core_count", _MULTIPROCESSORS))
+    result = jax.ShapeDtypeStruct((blocks, kernel.tiles, _TILE, _TILE), jnp.float64)
     count = jnp.full(1, len(motion[0]), jnp.int64)
     (partial,) = kernel.kernel(blocks, [result], *motion, packed, rows, count)
     return unpacked_products(kernel.sizes, jnp.sum(partial, axis=0))
@@ -288,10 +294,10 @@ def packed_inverses(
     rows: list[Array] = []
     for joint, (size, inverse) in enumerate(zip(sizes, inverses, strict=True)):
         pivot = jnp.argmax(inverse != 0, axis=1)
-        wide = -(-size // 8) * 8
+        wide = -(-size // _TILE) * _TILE
         triangle = jnp.zeros((wide, wide)).at[pivot, :size].set(inverse)
-        pieces = [(i, k) for i in range(wide // 8) for k in range(2 * i + 2)]
-        row = np.array([8 * i + _ROW for i, _ in pieces])
+        pieces = [(i, k) for i in range(wide // _TILE) for k in range(2 * i + 2)]
+        row = np.array([_TILE * i + _ROW for i, _ in pieces])
         column = np.array([4 * k + _COLUMN for _, k in pieces])
         packed.append(triangle[column, row].ravel())
         rows.append(pivot + sum(sizes[:joint]))
@@ -305,12 +311,12 @@ def unpacked_products(
     matrices: list[Array] = []
     first = 0
     for size in sizes:
-        high = -(-size // 8)
+        high = -(-size // _TILE)
         pairs = tiles_of(size)
         index = np.zeros((high, high), int)
         for number, (i, j) in enumerate(pairs):
             index[i, j] = first + number
-        blocks = jnp.swapaxes(tiles[index], 1, 2).reshape(8 * high, 8 * high)
+        blocks = jnp.swapaxes(tiles[index], 1, 2).reshape(_TILE * high, _TILE * high)
         lower = jnp.tril(blocks)
         symmetric = lower + jnp.tril(blocks, -1).T
         matrices.append(symmetric[:size, :size])
