@@ -83,6 +83,7 @@ from ._splines import (
     choose_spacing as choose_spacing,
     find_reversals as find_reversals,
     left_out_error as left_out_error,
+    spline_derivatives as spline_derivatives,
 )
 from .files import (
     ColumnMapping as ColumnMapping,

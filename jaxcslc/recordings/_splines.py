@@ -392,17 +392,50 @@ def _cubics(
 
     Where no slope is given, the second derivative is continuous:
     `h1 m0 + 2 (h0 + h1) m1 + h0 m2 = 3 (h1 (y1 - y0)/h0 + h0 (y2 - y1)/h1)`.
+    At an end without a slope the first two pieces are one cubic ('not a knot'):
+    `h1 m0 + (h0 + h1) m1 = ((3 h0 + 2 h1) h1 (y1 - y0)/h0 + h0² (y2 - y1)/h1) / (h0 + h1)`.
     """
     steps = np.diff(x)
     rises, before, after = np.diff(y) / steps, steps[:-1], steps[1:]
-    free = ~given[1:-1]  # the outermost nodes are ends
+    free = ~given[1:-1]
     below, above = np.append(after * free, 0.0), np.append(0.0, before * free)
     diagonal, right = np.ones(y.size), slopes.copy()
     diagonal[1:-1][free] = 2.0 * (before + after)[free]
     right[1:-1][free] = 3.0 * (after * rises[:-1] + before * rises[1:])[free]
+    for end, inner, row in ((0, 1, above), (-1, -2, below)):
+        if not given[end]:
+            h, other = steps[end], steps[inner]
+            diagonal[end], row[end] = other, h + other
+            rise = (3.0 * h + 2.0 * other) * other * rises[end] + h**2 * rises[inner]
+            right[end] = rise / (h + other)
     *_, m, _ = scipy.linalg.lapack.dgtsv(below, diagonal, above, right)
     bend = (m[:-1] + m[1:] - 2.0 * rises) / steps
     return np.stack([bend / steps, (rises - m[:-1]) / steps - bend, m[:-1], y[:-1]])
+
+
+def spline_derivatives(time: Samples, values: Signals) -> tuple[Signals, Signals]:
+    """Return first and second derivatives of the cubic splines through all samples, at these.
+
+    Those of `scipy.interpolate.CubicSpline`, whose import takes 0.09 s of processor time.
+
+    **Arguments**
+
+    - `time`: instants of the samples, four or more, shape `(samples,)` [s].
+    - `values`: shape `(samples, joints)`.
+
+    >>> import numpy as np
+    >>> time = np.linspace(0.0, 1.0, 6)
+    >>> first, second = spline_derivatives(time, time[:, None] ** 3)
+    >>> bool(np.allclose(first[:, 0], 3 * time**2)), bool(np.allclose(second[:, 0], 6 * time))
+    (True, True)
+    """
+    nowhere, step = np.zeros(time.size, bool), time[-1] - time[-2]
+    first, second = np.empty(values.shape), np.empty(values.shape)
+    for joint, column in enumerate(values.T):
+        a, b, c, _ = _cubics(time, column, np.zeros(time.size), nowhere)
+        first[:, joint] = *c, (3.0 * a[-1] * step + 2.0 * b[-1]) * step + c[-1]
+        second[:, joint] = *(2.0 * b), 6.0 * a[-1] * step + 2.0 * b[-1]
+    return first, second
 
 
 def _add_cubics(

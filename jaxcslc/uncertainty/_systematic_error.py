@@ -29,7 +29,7 @@ from ..least_squares import (
     torque_of,
 )
 from ..network import CSLC
-from ..recordings import Derivatives, Patterns, Recording
+from ..recordings import Derivatives, Patterns, Recording, spline_derivatives
 from ._held_out import FOLDS, fold_numbers
 
 
@@ -386,13 +386,11 @@ def _exact_derivatives(
     Those of a smoothing are not always the derivatives of its positions. With `keep_velocity`,
     velocities were measured, and accelerations are theirs.
     """
-    from scipy.interpolate import CubicSpline  # 0.09 s of processor time
-
-    spline = CubicSpline(time, qd if keep_velocity else q)
+    first, second = spline_derivatives(time, qd if keep_velocity else q)
     moves = np.any(qd != 0.0, axis=0)  # elsewhere rounding, whose sign would be a direction
     if keep_velocity:
-        return qd, np.where(moves, spline(time, 1), 0.0)
-    return np.where(moves, spline(time, 1), 0.0), np.where(moves, spline(time, 2), 0.0)
+        return qd, np.where(moves, first, 0.0)
+    return np.where(moves, first, 0.0), np.where(moves, second, 0.0)
 
 
 def _shifts(

@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 from scipy import interpolate
 
-from jaxcslc.recordings import AveragedSplines, CentralDifferences, find_reversals
+from jaxcslc.recordings import (
+    AveragedSplines,
+    CentralDifferences,
+    find_reversals,
+    spline_derivatives,
+)
 
 
 COUNT = 1e-4
@@ -20,6 +25,15 @@ def quantised(position: np.ndarray) -> np.ndarray:
 
 def uneven(rng: np.random.Generator, samples: int) -> np.ndarray:
     return np.cumsum(INTERVAL * rng.uniform(0.5, 1.5, samples))
+
+
+@pytest.mark.parametrize("samples", [4, 5, 300])
+def test_derivatives_are_those_of_scipys_splines(rng: np.random.Generator, samples: int) -> None:
+    time, values = uneven(rng, samples), rng.normal(size=(samples, 2))
+    oracle = interpolate.CubicSpline(time, values)
+    for order, obtained in enumerate(spline_derivatives(time, values), start=1):
+        expected = oracle(time, order)
+        np.testing.assert_allclose(obtained, expected, atol=1e-10 * np.max(np.abs(expected)))
 
 
 @pytest.mark.parametrize("spacing", [1, 2, 9, 30])
