@@ -613,8 +613,8 @@ class NearestBodies:
         if solution is None:
             return None
         in_units, others = np.split(solution, [ENTRIES * count])
-        bodies = np.einsum("lnu,lu->ln", units, in_units.reshape(count, ENTRIES))
-        return Optimum(bodies, others, converged)
+        pairs = zip(units, in_units.reshape(count, ENTRIES), strict=True)
+        return Optimum(np.stack([unit @ body for unit, body in pairs]), others, converged)
 
     def _linear_knowledge(self, units: Sequence[Float[np.ndarray, "10 16"]]) -> LinearKnowledge:
         """Return the knowledge of parameters in the programme's unknowns."""
