@@ -149,9 +149,8 @@ class TestIdentify:
         np.testing.assert_allclose(report.k, K, rtol=0.05, atol=0.02)
         assert "validation" in report.errors and "a: " in str(report)
         page = report.page(charts=False)
-        (table,) = (
-            b for b in page.sections[0].blocks if isinstance(b, Table) and b.name == "several"
-        )
+        blocks = [block for section in page.sections for block in section.blocks]
+        (table,) = (b for b in blocks if isinstance(b, Table) and b.name == "several")
         assert [row[0] for row in table.rows] == ["a", "b"]
         assert report.systematic is not None
         bare = jc.identify(
