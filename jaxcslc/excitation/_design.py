@@ -280,7 +280,8 @@ class Planner:
             say("interrupted: the best motion so far is checked")
         # A search that was interrupted may not have reached what an earlier one had.
         reached = [best, search.best] if interrupted or search.best is None else [search.best]
-        scaled = [self.check.scaled(self._of_variables(x)) for x in reached if x is not None]
+        found = [self._of_variables(x) for x in reached if x is not None]
+        scaled = [self.check.scaled(parameters, pose) for parameters in found]
         parameters, use, scale = min(scaled, key=lambda motion: self.criterion_value(motion[0]))
         notes = [*self.limits.notes]
         if not self.knowledge.is_model:

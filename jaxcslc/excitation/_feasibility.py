@@ -183,8 +183,13 @@ class DenseCheck:
             uses["power"] = power.max(0) / self.limits.usable_power
         return uses
 
-    def scaled(self, parameters: Parameters) -> tuple[Parameters, Use, float]:
+    def scaled(
+        self, parameters: Parameters, home: Float[np.ndarray, " joints"] | None = None
+    ) -> tuple[Parameters, Use, float]:
         """Return the largest motion about the same start that keeps all limits.
+
+        - `home`: (joints,) pose in which the arm may rest. The motion is shrunk towards it where
+          the arm may not rest in the motion's own start.
 
         **Returns** its parameters, how much of the limits it uses, and by which factor it was
         shrunk.
@@ -198,14 +203,18 @@ class DenseCheck:
             return parameters, use, 1.0
         resting = self.family.scaled(parameters, 0.0)
         at_rest = self.use(resting)
+        if not at_rest.feasible and home is not None:
+            resting[0] = home
+            at_rest = self.use(resting)
         if not at_rest.feasible:
             raise ValueError(
                 f"no motion from this start keeps the limits: at rest there, {at_rest.worst}"
             )
-        low, best, high = 0.0, (resting, at_rest), 1.0
+        best: tuple[Parameters, Use] = resting, at_rest
+        low, high = 0.0, 1.0
         for _ in range(_BISECTIONS):
             factor = (low + high) / 2
-            trial = self.family.scaled(parameters, factor)
+            trial = resting + factor * (parameters - resting)
             use = self.use(trial, bodies=False)
             if use.feasible and self._distance is not None:
                 use = self.use(trial)

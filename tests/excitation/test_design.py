@@ -356,5 +356,19 @@ def test_a_motion_at_its_limit_of_torque_is_hardly_shrunk(pendulum_planner: Plan
     assert design.scale > 0.995
 
 
+def test_a_motion_that_cannot_start_is_shrunk_towards_a_pose_to_rest_in(
+    pendulum_planner: Planner, rng: np.random.Generator
+) -> None:
+    check = pendulum_planner.check
+    parameters = random_parameters(check, np.zeros(1), rng)
+    parameters[0] = 1.1 * check.limits.high
+    with pytest.raises(ValueError, match="at rest there, position"):
+        check.scaled(parameters)
+    found, use, factor = check.scaled(parameters, np.zeros(1))
+    assert use.feasible
+    assert 0.1 < factor < 1.0
+    np.testing.assert_allclose(found, factor * parameters)
+
+
 def test_families_by_name() -> None:
     assert [family_named(name, 6.0).duration for name in ("splines", "moves")] == [6.0, 6.0]
