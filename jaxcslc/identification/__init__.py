@@ -4,7 +4,7 @@ recordings ──► Problem ──► estimators ──► judgement ──► 
 
 - `_identify`: the pipeline, and estimators by name.
 - `_problem`: settings, patterns and what is known.
-- `_estimator`, `_least_squares`, `_maximum_likelihood`: estimators.
+- `_estimator`, `_least_squares`, `_likelihood`: estimators.
 - `_exclusions`: what is not combined, one table.
 - `_torque_constants`: torque per motor current.
 """
@@ -12,7 +12,7 @@ recordings ──► Problem ──► estimators ──► judgement ──► 
 from ._estimator import AbstractEstimator as AbstractEstimator, Fit as Fit
 from ._identify import ESTIMATORS as ESTIMATORS, identify as identify
 from ._least_squares import Regression as Regression, SimulatedMotion as SimulatedMotion
-from ._maximum_likelihood import Likelihood as Likelihood
+from ._likelihood import Likelihood as Likelihood
 from ._problem import recording_named as recording_named
 from ._torque_constants import (
     TorqueConstants as TorqueConstants,

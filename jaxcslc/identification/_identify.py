@@ -34,7 +34,7 @@ from ..uncertainty import SeveralFit
 from ._estimator import AbstractEstimator, Judged
 from ._exclusions import LOAD_FRICTION, Request, check_request, excluded
 from ._least_squares import Regression, SimulatedMotion
-from ._maximum_likelihood import Likelihood, within_memory
+from ._likelihood import Likelihood, within_memory
 from ._problem import (
     TRAINING,
     VALIDATION,

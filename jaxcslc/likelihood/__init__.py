@@ -6,17 +6,12 @@ recordings ──► problem, start ──► search: step, test, stages ──�
 - `_blocks`, `_laws`, `_objective`: residual blocks (readings, equations of motion, rest, reversals,
   priors), and the sum of them.
 - `_equations`, `_joint_friction`, `_pre_sliding_equations`: equations of motion with derivatives.
-- `_band`, `_normal_equations`: elimination in time with a border.
+- `_equation_sums`, `_banded_solver`: elimination in time with a border.
 - `_search`, `_search_state`, `_levenberg`: the search.
 - `_likelihood_fit`, `_comparison`: the result and its uncertainty.
 """
 
-from ._band import (
-    JointColumns as JointColumns,
-    add_equations as add_equations,
-    equation_changes as equation_changes,
-    equation_gradients as equation_gradients,
-)
+from ._banded_solver import Spectrum as Spectrum, solved as solved
 from ._blocks import ConstantBlock as ConstantBlock, Normal as Normal
 from ._comparison import (
     Estimator as Estimator,
@@ -24,6 +19,12 @@ from ._comparison import (
     LeftOut as LeftOut,
     estimator_text as estimator_text,
     presliding_line as presliding_line,
+)
+from ._equation_sums import (
+    JointColumns as JointColumns,
+    add_equations as add_equations,
+    equation_changes as equation_changes,
+    equation_gradients as equation_gradients,
 )
 from ._equations import (
     AbstractEquations as AbstractEquations,
@@ -40,7 +41,6 @@ from ._likelihood_fit import (
     likelihood_fit as likelihood_fit,
 )
 from ._maximum_likelihood import MaximumLikelihood as MaximumLikelihood
-from ._normal_equations import Spectrum as Spectrum, solved as solved
 from ._point import Point as Point, Step as Step
 from ._pre_sliding_equations import PreSlidingEquations as PreSlidingEquations
 from ._problem import LikelihoodProblem as LikelihoodProblem, SearchStart as SearchStart

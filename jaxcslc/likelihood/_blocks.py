@@ -12,10 +12,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ._band import JointColumns, add_equations, equation_changes, equation_gradients, stencil
+from ._banded_solver import BandedEquations, Order
+from ._equation_sums import (
+    JointColumns,
+    add_equations,
+    equation_changes,
+    equation_gradients,
+    stencil,
+)
 from ._equations import AbstractEquations, EquationPoint
 from ._laws import Intervals, Sticking, WorkingReadings
-from ._normal_equations import BandedEquations, Order
 from ._point import Point, Step
 from ._readings import TorqueRecord
 from ._signs import Signs

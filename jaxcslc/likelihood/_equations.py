@@ -26,7 +26,7 @@ from ..codegen import (
     called_functions,
 )
 from ..network import CSLC, AbstractManipulatorTerm, JointTerm
-from ._band import JointColumns
+from ._equation_sums import JointColumns
 from ._joint_friction import JointFriction, JointMotion
 from ._readings import triangle_mean
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from ._normal_equations import Factored
+from ._banded_solver import Factored
 from ._objective import Linear, Residuals
 from ._point import Point, Step
 from ._problem import LikelihoodProblem

@@ -23,9 +23,9 @@ from ..least_squares import (
 )
 from ..network import CSLC
 from ..uncertainty import SystematicError, missing_terms
-from ._band import stencil
+from ._banded_solver import Factored, Spectrum, gram
+from ._equation_sums import stencil
 from ._laws import score_share
-from ._normal_equations import Factored, Spectrum, gram
 from ._objective import Linear
 from ._point import Point
 from ._search import Minimum

@@ -213,9 +213,16 @@ class MaximumLikelihood:
         """Search near a fit, with its noise levels."""
         problem, (point, *_) = self.start(network, recordings, near.fit, near.every)
         levels = near.torque_noise, near.position_noise
-        options = {"edge": near.edge, "moments": near.reversal_moments}
-        point = _point_near(point, near)
-        return problem, search(problem, point, *levels, report, fixed_levels=True, **options)
+        minimum = search(
+            problem,
+            _point_near(point, near),
+            *levels,
+            report,
+            fixed_levels=True,
+            edge=near.edge,
+            moments=near.reversal_moments,
+        )
+        return problem, minimum
 
     def misfit(
         self,

@@ -7,6 +7,7 @@ from typing import cast
 import numpy as np
 from jaxtyping import Float
 
+from ._banded_solver import BandedEquations, Factored, Order
 from ._blocks import (
     AbstractDerivatives,
     AbstractResidualBlock,
@@ -17,7 +18,6 @@ from ._blocks import (
     ReadingDerivatives,
 )
 from ._laws import WorkingReadings
-from ._normal_equations import BandedEquations, Factored, Order
 from ._point import Point, Step
 from ._signs import LATEST_TURN
 

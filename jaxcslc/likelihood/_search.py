@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
+from ._banded_solver import Factored
 from ._levenberg import AT_KINK, PROMISE, SMALL_DAMPING, LevenbergStep, levenberg_step
-from ._normal_equations import Factored
 from ._objective import Linear, Objective
 from ._point import Point
 from ._problem import LikelihoodProblem

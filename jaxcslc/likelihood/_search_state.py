@@ -404,7 +404,8 @@ class NoiseDraws:
             position = np.where(counts, readings.weight * readings.residual / weight, position)
         drawn = [linear.zeros(torque=torque), linear.zeros(position=position)]
         steps = linear.steps(factored, drawn)
-        return cls(problem, state, linear, *map(linear.after, steps, drawn), position)
+        by_torque, by_position = map(linear.after, steps, drawn)
+        return cls(problem, state, linear, by_torque, by_position, position)
 
     def levels(self, residuals: Residuals, counted: Mask) -> tuple[Levels, Levels]:
         """Return the levels at which residuals would be as large as they are, of torque and of

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..network import CSLC
-from ._band import JointColumns
-from ._normal_equations import Factored, Spectrum
+from ._banded_solver import Factored, Spectrum
+from ._equation_sums import JointColumns
 from ._objective import Linear
 from ._problem import LikelihoodProblem
 from ._search import Minimum

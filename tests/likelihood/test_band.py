@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 
 from jaxcslc.likelihood import (
     JointColumns,
-    _band,
-    _normal_equations as _triangle,
+    _banded_solver as _triangle,
+    _equation_sums,
     add_equations,
     equation_changes,
     equation_gradients,
@@ -34,7 +34,7 @@ def code(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any
 @pytest.fixture(params=[1000, 5], ids=["alone", "in chunks"])
 def chunk(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """One thread for all equations, and several, which share samples."""
-    monkeypatch.setattr(_band, "_CHUNK", request.param)
+    monkeypatch.setattr(_equation_sums, "_CHUNK", request.param)
 
 
 @pytest.mark.usefixtures("code", "chunk")

@@ -2,12 +2,12 @@
 
      file --> _tables, _bag -----------------------------> columns
                                                               |
-     _layouts, _column_mapping (which columns are what) --> ColumnLayout --> Recording
+     _known_layouts, _column_mapping (which columns are what) --> ColumnLayout --> Recording
 
 - `_recording_files`: `load_recording`, `save_recording` and reading in chunks.
 - `_tables`, `_bag`: the type of a file, its columns in SI units, and checks.
 - `_layout`: which columns are a recording's, and units.
-- `_layouts`: formats that are recognised by their column names.
+- `_known_layouts`: formats that are recognised by their column names.
 - `_column_mapping`: a user's own mapping of columns; `_guess`: one for unknown formats.
 """
 

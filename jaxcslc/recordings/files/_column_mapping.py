@@ -13,6 +13,7 @@ from typing import Any
 from jaxcslc._toml_document import toml_document
 
 from .._recording import RecordingError
+from ._known_layouts import layout_by_format
 from ._layout import (
     QUANTITIES,
     ColumnLayout,
@@ -23,7 +24,6 @@ from ._layout import (
     listed_units,
     si_factor,
 )
-from ._layouts import layout_by_format
 
 
 @dataclasses.dataclass(frozen=True)

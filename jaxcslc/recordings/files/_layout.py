@@ -1,7 +1,7 @@
 """Layout of a recording file: its columns, their quantities, joints and units.
 
-`_column_mapping` makes layouts of what a user states, `_layouts` of column names alone; `_tables`
-reads the columns that a layout names.
+`_column_mapping` makes layouts of what a user states, `_known_layouts` of column names alone.
+`_tables` reads the columns that a layout names.
 """
 
 import dataclasses

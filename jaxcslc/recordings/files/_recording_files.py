@@ -15,8 +15,8 @@ from jaxcslc._scratch import unfinished
 
 from .._recording import MINIMUM_SAMPLES, Recording, RecordingError, as_columns
 from ._column_mapping import ColumnMapping
+from ._known_layouts import layout_by_format
 from ._layout import QUANTITIES, ColumnLayout, Header, LayoutColumn, beginning, is_numbered
-from ._layouts import layout_by_format
 
 
 Table = dict[str, Float[np.ndarray, " rows"]]

@@ -1,6 +1,6 @@
 """Kinds of results of a report, one file each; `_registry` lists them in the order of the text."""
 
-from ._coefficients import (
+from ._coefficient_table import (
     CoefficientSection as CoefficientSection,
     ExcitationSection as ExcitationSection,
 )

@@ -2,7 +2,7 @@
 
 from .._section import AbstractSection
 from ._bodies import PossibleSection
-from ._coefficients import CoefficientSection, ExcitationSection, SystematicSection
+from ._coefficient_table import CoefficientSection, ExcitationSection, SystematicSection
 from ._errors import (
     ErrorSection,
     EstimatorSection,

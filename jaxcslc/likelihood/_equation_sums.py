@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from .._chunks import over_chunks
 from ..codegen import INTEGERS, LONG, CArray, CFunction
-from ._normal_equations import SOURCE, add_blocks, gram
+from ._banded_solver import SOURCE, add_blocks, gram
 
 
 # Equations whose squares are added up at a time, and those that a thread multiplies.
