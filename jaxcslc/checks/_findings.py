@@ -119,6 +119,10 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
             "the {what} of {joint} counts the other way round than the robot file has it",
             "{entries} in the mapping of --columns",
         ),
+        "sign: of all joints": (
+            "the {what} of all joints counts the other way round than the robot file has it",
+            "{entries} in the mapping of --columns",
+        ),
         "swapped joints": (
             "the {what} of {pair} are swapped",
             "joints = {order} in the mapping of --columns",

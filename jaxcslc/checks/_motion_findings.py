@@ -160,23 +160,26 @@ class _Hypothesis(NamedTuple):
 def _hypotheses(
     kinds: str, names: Sequence[str], extent: Float[np.ndarray, " joints"]
 ) -> Iterator[_Hypothesis]:
-    """Yield wrong signs of single joints, pairs of joints that are swapped, and degrees.
+    """Yield wrong signs of single joints and of all, pairs of joints that are swapped, and degrees.
 
     - `kinds`: of the joints, `R` or `P` each.
     - `extent`: of each joint's positions as recorded.
     """
     count = len(names)
-    for joint, name in enumerate(names):
+    groups = [(joint,) for joint in range(count)]
+    for joints in [*groups, tuple(range(count))] if count > 1 else groups:
         signs = np.ones(count)
-        signs[joint] = -1.0
+        signs[[*joints]] = -1.0
+        single = names[joints[0]] if len(joints) == 1 else ""
         for what, change in (
             ("position", Change(motion_factors=signs)),
             ("torque", Change(torque_factors=signs)),
             ("position and torque", Change(motion_factors=signs, torque_factors=signs)),
         ):
             entries = (f"[{quantity}] sign = {_toml(signs)}" for quantity in what.split(" and "))
-            found = finding("sign", "", name, what=what, joint=name, entries=" and ".join(entries))
-            yield _Hypothesis(found, (joint,), change)
+            words = {"what": what, "joint": single, "entries": " and ".join(entries)}
+            row = "sign" if single else "sign: of all joints"
+            yield _Hypothesis(finding(row, "", single, **words), joints, change)
     for first, second in combinations(range(count), 2):
         order = np.arange(count)
         order[[first, second]] = second, first
@@ -197,9 +200,9 @@ def _hypotheses(
     # Angles in degrees, of all revolute joints or of one; none that would be hardly any motion.
     revolute = np.array([kind == "R" for kind in kinds])
     wide = np.flatnonzero(revolute & (extent > _LEAST_DEGREES)).tolist()
-    groups = [np.flatnonzero(revolute).tolist()] if wide else []
-    groups += [[joint] for joint in wide if revolute.sum() > 1]
-    for joints in groups:
+    turning = [np.flatnonzero(revolute).tolist()] if wide else []
+    turning += [[joint] for joint in wide if revolute.sum() > 1]
+    for joints in turning:
         factors = np.ones(count)
         factors[joints] = np.pi / 180.0
         change = Change(motion_factors=factors)
@@ -245,8 +248,8 @@ def _causes_in_columns(evidence: Evidence, score: float) -> list[_Cause]:
             f" {100 * mended[worst]:.3g} % if {hypothesis.finding.cause}"
         )
         if against_friction and errors[worst] < _LITTLE:
-            name = names[hypothesis.joints[0]]
-            text = f"friction of {name} drives its motion instead of braking it"
+            listed = ", ".join(names[joint] for joint in hypothesis.joints if joint in driven)
+            text = f"friction of {listed} drives its motion instead of braking it"
         found = dataclasses.replace(hypothesis.finding, evidence=text)
         causes.append(_Cause(found, hypothesis.change.recording(evidence.recording), gain))
     return causes

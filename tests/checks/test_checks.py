@@ -147,6 +147,12 @@ SPOILT: dict[str, tuple[Callable[[jc.Recording], jc.Recording], str, str, str]] 
     ),
     "position's sign": (lambda r: with_column(r, "position", 1, -1.0), "sign", "joint 2", "-1"),
     "torque's sign": (lambda r: with_column(r, "torque", 2, -1.0), "sign", "joint 3", "-1"),
+    "all torques' signs": (
+        lambda r: changed(r, torque=-r.torque),
+        "sign",
+        "",
+        "[torque] sign = [-1, -1, -1]",
+    ),
     "swapped": (swapped, "swapped joints", "joint 2, joint 3", "joints ="),
     "swapped positions": (
         lambda r: changed(r, position=r.position[:, [0, 2, 1]]),
