@@ -108,7 +108,7 @@ class TestExport:
         path = tmp_path / "mine.toml"
         result = run("export", "puma560", output / "identification.json", "-o", path)
         assert result.exit_code == 0, result.output
-        for text in ("cost of being possible", "standard errors", "read again", str(path)):
+        for text in ("cost of physical consistency", "standard errors", "read again", str(path)):
             assert text in result.output
         robot = jc.load_robot(path)
         assert robot.links is not None and robot.viscous is not None

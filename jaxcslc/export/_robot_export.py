@@ -274,13 +274,13 @@ class RobotExport:
         units_of = {"mass": "kg"} | {f"r{axis}": "m" for axis in "xyz"}
         table.columns = [f"{name} [{units_of.get(name, 'kg m²')}]" for name in table.columns]
         states = "the recording's motion" if self.measured else "random states"
-        header = ["joint", "cost of being possible", "file against parameters", "unit"]
+        header = ["joint", "cost of physical consistency", "file against parameters", "unit"]
         lines = [
             f"{self.network}\n",
             f"{table.to_string(float_format=lambda x: f'{x:.5g}')}\n",
             "in the frames of the robot's file; rx, ry, rz: centre of gravity; I..: about it\n",
-            f"possible parameters are {parameters.distance:.3g} standard errors from the identified"
-            " coefficients (root mean square)",
+            f"physically consistent parameters are {parameters.distance:.3g} standard errors from"
+            " the identified coefficients (root mean square)",
             f"\nRMS difference of torque over {states}",
             text_table(header, rows),
         ]

@@ -211,7 +211,8 @@ def _own_layout(file: str, names: Sequence[str]) -> ColumnLayout:
     def wrong(problem: str) -> RecordingError:
         return RecordingError(
             f"{file}: {problem}; expected time, position_1..n, torque_1..n and, optionally,"
-            " velocity_1..n, acceleration_1..n"
+            " velocity_1..n, acceleration_1..n, or a file that says which columns these are"
+            " (--columns)"
         )
 
     if duplicates := sorted({name for name in names if names.count(name) > 1}):
