@@ -43,7 +43,7 @@ class ReportComparison:
     >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric")
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     for name, inertia in (("a", 0.5), ("b", 0.6)):
-    ...         k = [inertia, 0.3, 0, 0.2, 0.1]
+    ...         k = [inertia, 0.3, 0.0, 0.2, 0.1]
     ...         patterns = jc.examples.swing(network, k, torque_noise=0.01)
     ...         jc.LeastSquares().fit(network, patterns).save(f"{folder}/{name}.json")
     ...     comparison = compare_reports(f"{folder}/a.json", f"{folder}/b.json")

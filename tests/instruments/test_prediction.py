@@ -191,7 +191,7 @@ class TestHorizon:
             possible="never",
         )
         assert report.horizon is not None and tuple(report.horizon.error) == ("fit",)
-        assert "simulated open loop" in str(report)
+        assert "simulated without feedback" in str(report)
         document = report.horizon.document()
         assert document["horizons"][0] == 0.1 and len(document["error"]["fit"][0]) == 1
 
