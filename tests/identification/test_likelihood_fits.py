@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.identification import Likelihood, _maximum_likelihood
+from jaxcslc.identification import Likelihood, _likelihood
 from jaxcslc.identification._exclusions import Request
 from jaxcslc.likelihood import MaximumLikelihood
 from tests import arms
@@ -44,17 +44,17 @@ def test_they_are_those_of_one_process(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # Computed at once, for XLA has threads here; sent as from another process.
-    monkeypatch.setattr(_maximum_likelihood, "can_fork", lambda: True)
+    monkeypatch.setattr(_likelihood, "can_fork", lambda: True)
     monkeypatch.setattr(
-        _maximum_likelihood,
+        _likelihood,
         "_sent",
-        lambda *given, made=_maximum_likelihood._sent: pickle.loads(pickle.dumps(made(*given))),
+        lambda *given, made=_likelihood._sent: pickle.loads(pickle.dumps(made(*given))),
     )
     settings = jc.Settings()
     with Likelihood().beside(request_of) as begin:
         assert begin is not None
         whole, before = begin(settings)()
-    expected = _maximum_likelihood.options_for(OPTIONS, settings).fit(network, recording)
+    expected = _likelihood.options_for(OPTIONS, settings).fit(network, recording)
     assert_allclose(whole.k, expected.k)
     assert_allclose(whole.slopes, expected.slopes)
     assert whole.network.static_slopes is not None
@@ -66,7 +66,7 @@ def test_they_are_those_of_one_process(
 def test_least_squares_are_waited_for_where_a_fit_starts_from_them(
     network: jc.CSLC, request_of: Request, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_maximum_likelihood, "can_fork", lambda: True)
+    monkeypatch.setattr(_likelihood, "can_fork", lambda: True)
     without = network.without_law("static", (1,))
     for change in ({"network": without}, {"possible": "always"}):
         with Likelihood().beside(dataclasses.replace(request_of, **change)) as begin:

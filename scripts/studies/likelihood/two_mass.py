@@ -40,7 +40,7 @@ TOYS: Mapping[str, float] = {"two masses, play 4 mrad": 4e-3, "two masses, no pl
 ARM = "soft PUMA"
 _COUNT, _TOY_NOISE, _NOISE = 5e-5, 0.05, 0.1
 _SOFT, _PLAY, _JOINTS = 8.0, 2e-3, (1, 2, 3)
-_RIGID = {"rigid": {"every": 1}, "rigid, every 3": {"every": 3}}
+_RIGID: dict[str, dict[str, Any]] = {"rigid": {"every": 1}, "rigid, every 3": {"every": 3}}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -155,7 +155,9 @@ def trained_side_by_side(
         name: train_side_by_side(cslc, training_set, measured, ROUTES[name], timed=timed)
         for name in routes
     }
-    solved = training_set.equations.solution()
+    equations = training_set.equations
+    assert equations is not None
+    solved = equations.solution()
     regressed = np.stack([jc.regress_friction(cslc, part, measured) for part in learnt])
     weights = {name: part.weights for name, part in trainings.items()}
     weights |= {SOLVED: solved, "Ar+LS": measured, "Ar+Rg": regressed, "true": truth}

@@ -171,7 +171,7 @@ def front_page(
         ],
     )
     tones: tuple[Tone, ...] = ("bad", "caution", "good", "plain")
-    worst = next(one for one in tones if one in (tone, tool.tone))
+    worst = tones[min(tones.index(tone), tones.index(tool.tone))]
     page = Page(
         title="Identification of robot arms with jaxcslc",
         subtitle="An arm from its files, and the experiment of the thesis on two simulated arms",
