@@ -138,7 +138,7 @@ SLOW = 0.1
 _APART = 0.2  # periods of the cut-off between rows that are kept
 _LEAST_RANGE = 1e-12  # rad or m: a joint with less does not move
 SMALLEST_ERROR, LARGEST_ERROR = 1e-6, 10.0
-"""Of a joint's torque: errors beyond count as these, for logarithms."""
+"""Least and largest torque errors, relative to the torque; others count as these in logarithms."""
 _SOLVER = LeastSquares(errors="independent")
 
 

@@ -41,7 +41,7 @@ PASSED = {
 
 @dataclasses.dataclass(frozen=True)
 class OutputOptions:
-    """What a command prints: options of every command."""
+    """Options of output, which every command has."""
 
     json: Annotated[
         bool, option(group="output", help="Print the result as JSON on standard output.")
@@ -187,7 +187,7 @@ class Command:
 
     @property
     def about(self) -> str:
-        """What the command does: the function's docstring."""
+        """Return the function's docstring: what the command does."""
         return self.function.__doc__ or ""
 
     @functools.cached_property

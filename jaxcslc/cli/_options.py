@@ -97,7 +97,7 @@ class Parameter:
 
     @functools.cached_property
     def many(self) -> bool:
-        """Whether it takes several values."""
+        """Return whether it takes several values."""
         return get_origin(self._kind) is list
 
     @functools.cached_property
@@ -114,7 +114,7 @@ class Parameter:
 
     @property
     def required(self) -> bool:
-        """Whether it has no default."""
+        """Return whether it has no default."""
         return self.default is inspect.Parameter.empty
 
     @functools.cached_property
