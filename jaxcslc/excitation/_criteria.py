@@ -47,7 +47,7 @@ EXPLANATIONS: dict[str, str] = {
     "condition": "condition number of the regressor in SI units",
     "scaled_condition": "condition number of the regressor with columns of unit length",
 }
-"""What each criterion is, in words."""
+"""Meaning of each criterion, in words."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -206,7 +206,7 @@ class Limits:
             name = names[int(np.argmax(missing))]
             raise ValueError(
                 f"limits: no velocity limit of {name} of {robot.name!r}; expected one in the"
-                " robot's file, or velocity in [joints] of a file of limits (docs/excitation.md)"
+                " robot's file, or velocity in [joints] of a file of limits"
             )
         notes: list[str] = []
         if free:

@@ -198,7 +198,7 @@ def _spec_of_rows(mujoco: Any, robot: Manipulator) -> Any:
 
 
 class _Base(NamedTuple):
-    """What a robot stands on.
+    """Floor that a robot stands on.
 
     - `height`: of the base's foot [m]: where its shapes end, or 0 without shapes.
     - `hanging`: True if the moving bodies are below the base.

@@ -1,4 +1,4 @@
-"""What estimators are given: recordings of one robot, with settings, patterns and friction.
+"""Problem of an estimator: recordings of one robot, with settings, patterns and friction.
 
 `prepare` chooses settings, one recording being several of one; `with_friction` then fits what the
 network is not linear in (slopes of static friction, loads). `_identify` names the estimators.

@@ -13,7 +13,7 @@ from ..recordings import Recording
 
 
 TorqueSampling = Literal["held", "sampled"]
-"""What a recorded torque is: held until the next sample, or the value at the sample's instant."""
+"""Meaning of a recorded torque: held until the next sample, or the value at that instant."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What changes from step to step of a search: signs, weights, levels of noise, intervals.
+"""State that changes from step to step of a search: signs, weights, levels of noise, intervals.
 
 Noise levels are those of marginal likelihood, from draws of the present noise.
 """

@@ -1,4 +1,4 @@
-"""How far apart positions are unknown, and why: vibration, and noise that excites."""
+"""Spacing of the positions that are unknown, and its reason: vibration, and noise that excites."""
 
 import dataclasses
 from typing import Any

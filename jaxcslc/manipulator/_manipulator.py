@@ -40,7 +40,7 @@ from ._link_parameters import InertiaForm, LinkInertia, LinkParameters
 
 RobotFormat = Literal["toml", "urdf", "mjcf"]
 Mimics = Literal["fix", "couple"]
-"""What becomes of joints that follow others."""
+"""Treatment of joints that follow others."""
 
 
 @dataclass(frozen=True)

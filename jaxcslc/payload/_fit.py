@@ -17,7 +17,7 @@ from ..recordings import Patterns
 
 
 PHYSICAL = ("m", "rx", "ry", "rz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
-"""What `PayloadFit.physical` lists: mass, centre of gravity, inertia tensor there."""
+"""Quantities that `PayloadFit.physical` lists: mass, centre of gravity, inertia tensor there."""
 
 _UNITS = (*["kg"], *["m"] * 3, *["kg m²"] * 6)
 # Entries of a Jacobian below this part of the largest are zero.

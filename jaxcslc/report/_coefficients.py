@@ -60,7 +60,7 @@ class ModelDescription:
 
     @property
     def error_kind(self) -> str:
-        """What errors are of: torque, or equations."""
+        """Quantity whose errors are reported: torque, or equations."""
         return "torque" if self.per_joint else self.output_kind
 
     def table(

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 
 Tone = Literal["good", "caution", "bad", "plain"]
-"""Whether a sentence is good or bad news."""
+"""Tone of a sentence: good or bad news."""
 Value = str | float | int | None
-"""What a cell of a table holds."""
+"""Content of a table's cell."""
 
 
 class AbstractBlock(abc.ABC):

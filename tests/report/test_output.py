@@ -100,8 +100,10 @@ def test_a_link_in_place_of_scratch_is_not_followed(tmp_path: Path) -> None:
     assert (precious / "file").exists()
 
 
-def test_a_folder_in_a_read_only_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Scratch of a folder that is there, a mount point say, lies in it: nothing crosses disks."""
+def test_scratch_of_a_folder_that_is_there_lies_in_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder may be a mount point, and the one around it write-protected."""
     results = tmp_path / "results"
     results.mkdir()
     seen: list[Path] = []
