@@ -21,6 +21,7 @@ from . import (
     recordings as recordings,
     report as report,
     selection as selection,
+    servo as servo,
     systems as systems,
     training as training,
     uncertainty as uncertainty,

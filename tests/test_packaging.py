@@ -62,9 +62,10 @@ LAYERS = {
     "report": {"instruments", "likelihood", "plotting", "selection"},
     "excitation": {"report"},
     "identification": {"report"},
+    "servo": {"export", "report"},
     "systems": {"report"},
     "payload": {"control", "identification"},
-    "cli": {"examples", "excitation", "export", "payload", "systems"},
+    "cli": {"examples", "excitation", "export", "payload", "servo", "systems"},
 }
 
 

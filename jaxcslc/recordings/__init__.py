@@ -54,6 +54,8 @@ from ._recording import (
     MINIMUM_SAMPLES as MINIMUM_SAMPLES,
     Recording as Recording,
     RecordingError as RecordingError,
+    as_columns as as_columns,
+    as_float as as_float,
     check_samples as check_samples,
     fresh_rows as fresh_rows,
     stale_rows as stale_rows,

@@ -197,12 +197,12 @@ class Recording(eqx.Module):
             finite, or time that does not strictly increase. Samples and joints count from 1 in
             the message.
         """
-        self.time = _as_float("time", time, 1)
-        self.position = _as_float("position", position, 2)
-        self.torque = _as_float("torque", torque, 2)
-        self.velocity = None if velocity is None else _as_float("velocity", velocity, 2)
+        self.time = as_float("time", time, 1)
+        self.position = as_float("position", position, 2)
+        self.torque = as_float("torque", torque, 2)
+        self.velocity = None if velocity is None else as_float("velocity", velocity, 2)
         self.acceleration = (
-            None if acceleration is None else _as_float("acceleration", acceleration, 2)
+            None if acceleration is None else as_float("acceleration", acceleration, 2)
         )
         self.joint_names = None if joint_names is None else tuple(joint_names)
         self.notes = tuple(notes)
@@ -414,7 +414,8 @@ def stale_rows(recording: Recording) -> Bool[np.ndarray, " samples"]:
     return np.append(False, np.all(values[1:] == values[:-1], axis=1))
 
 
-def _as_float(name: str, values: ArrayLike, dimensions: int) -> np.ndarray:
+def as_float(name: str, values: ArrayLike, dimensions: int) -> np.ndarray:
+    """Return values as a float64 array of 1 axis, samples, or 2, samples and joints."""
     try:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
