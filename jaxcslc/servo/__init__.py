@@ -1,9 +1,35 @@
-"""Arms of position servos: identification from commanded and measured positions, without torques.
+"""Arms of position servos: identification from commands and positions, without a torque signal.
+
+     command, position --> ServoRecording --> identify_servo --> ServoFit --> drives, errors
+                                                                 |
+                                              command --> simulate --> position
+
+Modules, in reading order:
 
 - `_recording`: commands and positions, sampled in time.
+- `_drive`: the parameters of a servo and its joint.
+- `_fit`: the result of a fit.
 """
 
+from ._drive import (
+    DRIVE_UNITS as DRIVE_UNITS,
+    TORQUES as TORQUES,
+    ServoDrive as ServoDrive,
+)
+from ._fit import (
+    ConfoundedParameters as ConfoundedParameters,
+    ServoFit as ServoFit,
+    ServoParameter as ServoParameter,
+)
 from ._recording import ServoRecording as ServoRecording
 
 
-__all__ = ["ServoRecording"]
+__all__ = [
+    "DRIVE_UNITS",
+    "TORQUES",
+    "ConfoundedParameters",
+    "ServoDrive",
+    "ServoFit",
+    "ServoParameter",
+    "ServoRecording",
+]
