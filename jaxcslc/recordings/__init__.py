@@ -89,11 +89,14 @@ from ._splines import (
 )
 from .files import (
     ColumnMapping as ColumnMapping,
+    CommandTable as CommandTable,
     RecordingChunk as RecordingChunk,
     column_names_of as column_names_of,
+    commands_of as commands_of,
     guessed_mapping as guessed_mapping,
     iterate_recording as iterate_recording,
     load_columns as load_columns,
+    load_commands as load_commands,
     load_recording as load_recording,
     load_recordings as load_recordings,
     save_recording as save_recording,

@@ -7,6 +7,7 @@
 Modules, in reading order:
 
 - `_recording`: commands and positions, sampled in time.
+- `_readers`, `_lerobot`: recordings from tables, bags and folders of data sets.
 - `_drive`: the parameters of a servo and its joint.
 - `_fit`: the result of a fit.
 """
@@ -21,6 +22,10 @@ from ._fit import (
     ServoFit as ServoFit,
     ServoParameter as ServoParameter,
 )
+from ._readers import (
+    load_servo_recording as load_servo_recording,
+    load_servo_recordings as load_servo_recordings,
+)
 from ._recording import ServoRecording as ServoRecording
 
 
@@ -32,4 +37,6 @@ __all__ = [
     "ServoFit",
     "ServoParameter",
     "ServoRecording",
+    "load_servo_recording",
+    "load_servo_recordings",
 ]

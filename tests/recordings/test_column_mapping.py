@@ -72,7 +72,10 @@ def test_what_it_leaves_out_is_as_in_the_format(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("document", "expected"),
     [
-        ({"angle": {}}, "columns: unknown key 'angle'; expected acceleration, delimiter, joints"),
+        (
+            {"angle": {}},
+            "columns: unknown key 'angle'; expected acceleration, command, command_topic",
+        ),
         ({"time": {"sign": -1}}, r"columns, \[time\]: unknown key 'sign'; expected columns, unit"),
         ({"time": {"columns": ["a", "b"]}}, r"\[time\], columns: expected one column"),
         ({"position": "q"}, r"columns, \[position\]: expected a table, got 'q'"),

@@ -7,11 +7,17 @@
 - `_recording_files`: `load_recording`, `save_recording` and reading in chunks.
 - `_tables`, `_bag`: the type of a file, its columns in SI units, and checks.
 - `_layout`: which columns are a recording's, and units.
+- `_command_files`: commanded and measured positions of servos, from the same files.
 - `_known_layouts`: formats that are recognised by their column names.
 - `_column_mapping`: a user's own mapping of columns; `_guess`: one for unknown formats.
 """
 
 from ._column_mapping import ColumnMapping as ColumnMapping
+from ._command_files import (
+    CommandTable as CommandTable,
+    commands_of as commands_of,
+    load_commands as load_commands,
+)
 from ._guess import guessed_mapping as guessed_mapping
 from ._recording_files import (
     RecordingChunk as RecordingChunk,

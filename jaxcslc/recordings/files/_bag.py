@@ -1,4 +1,4 @@
-"""Joint states in bags of ROS 1 and 2, and in MCAP files."""
+"""Joint states and commanded positions in bags of ROS 1 and 2, and in MCAP files."""
 
 import contextlib
 import dataclasses
@@ -15,6 +15,9 @@ from ._layout import Header, one_line, to_fix
 
 
 _STATE = "sensor_msgs/msg/JointState"
+_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+_ARRAY = "std_msgs/msg/Float64MultiArray"
+_COMMAND_WORDS = ("command", "cmd", "goal", "target", "desired", "reference")
 _NANO = 1_000_000_000
 
 
@@ -145,6 +148,198 @@ def joint_states(path: Path, joints: Sequence[str] | None, topic: str | None) ->
             + to_fix(missing, joints or ())
         )
     return wanted
+
+
+def read_commanded_bag(
+    path: Path, joints: Sequence[str] | None, topic: str | None, command_topic: str | None
+) -> tuple[Header, dict[str, np.ndarray]]:
+    """Read joint states of a bag with the commands that held at their times.
+
+    **Arguments**
+
+    - `path`, `joints`: as for `read_bag`.
+    - `topic`: of the joint states; by default the only one, except those of commands.
+    - `command_topic`: of messages of `JointTrajectory`, `Float64MultiArray` or `JointState`; by
+      default the only one.
+
+    **Returns** columns `time [ns]`, `position_NAME`, `command_NAME` and, where messages have them,
+    `velocity_NAME` and, of efforts, `current_NAME`. States before the first command are left out.
+
+    **Raises** `RecordingError`: as `read_bag`, and for commands that are missing, ambiguous or of
+    other joints.
+    """
+    groups = joint_states(path, joints, topic)
+    if topic is None:
+        groups = [g for g in groups if not _is_command(g.topic) and g.topic != command_topic]
+    if len(groups) != 1:
+        raise RecordingError(
+            f"{path}: joint states of {_listed(groups) or 'commands only'}; expected one topic of"
+            " measured states: set topic = ... in a file of --columns"
+        )
+    states = groups[0]
+    header, columns = states.columns(path)
+    commands = _commands(path, tuple(joints or states.names), states.names, command_topic)
+    time = columns["time [ns]"]
+    if not commands.stamped and any(states.stamps):
+        # Commands have times of arrival only: states are put on that clock.
+        lag = np.median(np.array(states.received) - np.array(states.stamps))
+        time = time + int(lag)
+    started = time >= commands.times[0]
+    if not started.any():
+        raise RecordingError(
+            f"{path}: no joint state follows the first command of {commands.topic}"
+        )
+    notes = list(header.notes)
+    if not started.all():
+        notes.append(f"{(~started).sum()} joint states before the first command are left out")
+    positions = np.stack([columns[f"position_{name}"] for name in commands.names], axis=1)
+    values = commands.sampled(time[started], positions[started])
+    kinds = {"position": "position", "velocity": "velocity", "effort": "current"}
+    table = {"time [ns]": time[started]} | {
+        f"{kinds[kind]}_{name}": columns[f"{kind}_{name}"][started]
+        for kind in kinds
+        for name in commands.names
+        if f"{kind}_{name}" in columns
+    }
+    table |= {f"command_{name}": values[:, i] for i, name in enumerate(commands.names)}
+    notes += commands.notes
+    return Header(list(table), commands.names, tuple(notes), header.hint), table
+
+
+@dataclasses.dataclass
+class _Commands:
+    """Commanded positions of one topic.
+
+    - `names`: of the joints, in the order of the values.
+    - `stamped`: whether times are stamps of the messages, and not those of their arrival.
+    - `times`: when each message begins to hold [ns].
+    - `points`: for each message, times [ns], shape (points,), and positions, (points, joints).
+    """
+
+    topic: str
+    names: tuple[str, ...]
+    stamped: bool
+    times: list[int]
+    points: list[tuple[np.ndarray, np.ndarray]]
+    notes: tuple[str, ...] = ()
+
+    def sampled(self, time: np.ndarray, position: np.ndarray) -> np.ndarray:
+        """Return the commands at times of states [ns], none before the first message.
+
+        A message holds until the next one. Between the points of a trajectory, positions are
+        interpolated linearly, from where the command was (or the arm, at first) when it began.
+        """
+        values = np.empty((time.size, len(self.names)))
+        current = position[0]
+        bounds = np.searchsorted(time, [*self.times, np.iinfo(np.int64).max])
+        for k, (start, (instants, points)) in enumerate(zip(self.times, self.points, strict=True)):
+            later = instants > start
+            if not later.all():
+                current = points[~later][-1]
+            # Seconds from the start: nanoseconds since 1970 have more digits than float64.
+            knots = np.concatenate([[0.0], (instants[later] - start) / _NANO])
+            heights = np.vstack([current, points[later]])
+            rows = slice(bounds[k], bounds[k + 1])
+            seconds = (time[rows] - start) / _NANO
+            end = (self.times[k + 1] - start) / _NANO if k + 1 < len(self.times) else np.inf
+            for joint in range(len(self.names)):
+                values[rows, joint] = np.interp(seconds, knots, heights[:, joint])
+            current = np.array(
+                [np.interp(min(end, knots[-1]), knots, height) for height in heights.T]
+            )
+        return values
+
+
+def _is_command(topic: str) -> bool:
+    return any(word in topic.lower() for word in _COMMAND_WORDS)
+
+
+def _commands(
+    path: Path, joints: tuple[str, ...], measured: tuple[str, ...], topic: str | None
+) -> _Commands:
+    """Read the commands of `joints`; `measured` are those of the states, in their order."""
+
+    def commands(connection: Any) -> bool:
+        if topic is not None:
+            return connection.topic == topic
+        kind = connection.msgtype
+        return kind == _TRAJECTORY or (kind in (_ARRAY, _STATE) and _is_command(connection.topic))
+
+    with _opened(path) as reader:
+        connections = [c for c in reader.connections if commands(c)]
+        topics = sorted({c.topic for c in connections})
+        if len(topics) != 1 or connections[0].msgtype not in (_TRAJECTORY, _ARRAY, _STATE):
+            had = {(c.topic, c.msgtype.replace("/msg/", "/")) for c in reader.connections}
+            listed = ", ".join(f"{name} ({kind})" for name, kind in sorted(had))
+            named = "" if topic is None else f" of topic {topic!r}"
+            raise RecordingError(
+                f"{path}: {len(topics) or 'no'} topics of commands{named}; expected one of"
+                " JointTrajectory, Float64MultiArray or JointState: set command_topic = ... in a"
+                f" file of --columns; the bag has {listed}"
+            )
+        messages = [
+            (reader.deserialize(data, c.msgtype), received)
+            for c, received, data in reader.messages(connections)
+        ]
+    if not messages:
+        raise RecordingError(f"{path}: no message of {topics[0]}; expected commanded positions")
+    stamps = [_stamp(message) for message, _ in messages]
+    stamped = all(stamps)
+    times = stamps if stamped else [received for _, received in messages]
+    notes: tuple[str, ...] = ()
+    if not stamped:
+        notes = (f"commands of {topics[0]} have no stamps: times are those of arrival",)
+    if connections[0].msgtype == _ARRAY:
+        size = len(messages[0][0].data)
+        names = joints if size == len(joints) else measured
+        notes += (f"commands of {topics[0]} are taken in the order {', '.join(names)}",)
+    else:
+        names = joints
+    points: list[tuple[np.ndarray, np.ndarray]] = []
+    for number, ((message, _), start) in enumerate(zip(messages, times, strict=True), start=1):
+        try:
+            instants, positions = _points(message, names)
+        except ValueError as error:
+            raise RecordingError(
+                f"{path}: message {number} of {topics[0]}: {error}; expected {', '.join(names)}"
+            ) from error
+        points.append((instants + start, positions))
+    order = np.argsort(times, kind="stable")
+    return _Commands(
+        topics[0], names, stamped, [times[i] for i in order], [points[i] for i in order], notes
+    )
+
+
+def _stamp(message: Any) -> int:
+    """Return the stamp of a message [ns]; 0 if it has none."""
+    header = getattr(message, "header", None)
+    return 0 if header is None else header.stamp.sec * _NANO + header.stamp.nanosec
+
+
+def _points(message: Any, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Return times since a message's start [ns], and positions of joints at them.
+
+    **Raises** `ValueError` for other joints, or other numbers of positions.
+    """
+    if not hasattr(message, "points"):  # an array, or a joint state
+        given = tuple(getattr(message, "name", names))
+        instants, rows = (
+            [0],
+            [np.asarray(getattr(message, "data", getattr(message, "position", ())))],
+        )
+    else:
+        given = tuple(message.joint_names)
+        since = [point.time_from_start for point in message.points]
+        instants = [time.sec * _NANO + time.nanosec for time in since]
+        rows = [np.asarray(point.positions) for point in message.points]
+        if not rows:
+            raise ValueError("has no points")
+    if missing := [name for name in names if name not in given]:
+        raise ValueError(f"no command of {', '.join(missing)}")
+    if wrong := [len(row) for row in rows if len(row) != len(given)]:
+        raise ValueError(f"{wrong[0]} positions of {len(given)} joints")
+    order = [given.index(name) for name in names]
+    return np.array(instants, np.int64), np.array(rows, float)[:, order]
 
 
 @contextlib.contextmanager

@@ -13,8 +13,10 @@ from typing import Any
 from jaxcslc._toml_document import toml_document
 
 from .._recording import RecordingError
-from ._known_layouts import layout_by_format
+from ._known_layouts import TORQUE_RECORDING, RecordingKind
 from ._layout import (
+    COMMAND_QUANTITIES,
+    COMMANDED,
     QUANTITIES,
     ColumnLayout,
     Header,
@@ -35,12 +37,14 @@ class MappedQuantity:
       them.
     - `unit`: None: as the format has it, or else SI.
     - `factors`: sign times torque constant [N m/A] times gear ratio, one per joint or one for all.
+    - `zeros`: values of positions, in the file's unit, that stand for 0; as `factors`.
     - `has_constant`: whether the factors contain a torque constant.
     """
 
     columns: str | tuple[str, ...] | None = None
     unit: str | None = None
     factors: tuple[float, ...] = (1.0,)
+    zeros: tuple[float, ...] = (0.0,)
     has_constant: bool = False
 
     @classmethod
@@ -49,7 +53,8 @@ class MappedQuantity:
         if not isinstance(table, Mapping):
             raise RecordingError(f"{where}: expected a table, got {table!r}")
         multipliers = {"time": (), "torque": ("sign", "constant", "gear")}.get(quantity, ("sign",))
-        _check_keys(table, {"columns", "unit", *multipliers}, where)
+        shifts = ("zero",) if quantity in COMMANDED else ()
+        _check_keys(table, {"columns", "unit", *multipliers, *shifts}, where)
         columns = table.get("columns")
         if columns is not None and not isinstance(columns, str):
             columns = _texts(columns, f"{where}, columns")
@@ -71,7 +76,10 @@ class MappedQuantity:
                 )
             count = max(len(factors), len(numbers))
             factors = [factors[i % len(factors)] * numbers[i % len(numbers)] for i in range(count)]
-        return cls(columns, unit, tuple(factors), "constant" in table)
+        zeros = [0.0]
+        if "zero" in table:
+            zeros = _numbers(table["zero"], f"{where}, zero", zero=True)
+        return cls(columns, unit, tuple(factors), tuple(zeros), "constant" in table)
 
     def named_columns(
         self,
@@ -108,11 +116,12 @@ class MappedQuantity:
     ) -> tuple[LayoutColumn, ...]:
         """Return the columns with SI units in one unit of each."""
         count = len(columns)
-        if len(self.factors) not in (1, count):
-            raise RecordingError(
-                f"{where}: {len(self.factors)} numbers of sign, constant or gear; expected {count},"
-                " one for each joint, or one"
-            )
+        for numbers, keys in ((self.factors, "sign, constant or gear"), (self.zeros, "zero")):
+            if len(numbers) not in (1, count):
+                raise RecordingError(
+                    f"{where}: {len(numbers)} numbers of {keys}; expected {count}, one for each"
+                    " joint, or one"
+                )
         unit = None
         if self.unit is not None:
             current = si_factor(self.unit, "current") if quantity == "torque" else None
@@ -125,9 +134,10 @@ class MappedQuantity:
                 )
             unit = current or si_factor(self.unit, quantity) or 1.0
         factors = self.factors * count if len(self.factors) == 1 else self.factors
+        zeros = self.zeros * count if len(self.zeros) == 1 else self.zeros
         return tuple(
-            LayoutColumn(column.name, (column.factor if unit is None else unit) * factor)
-            for column, factor in zip(columns, factors, strict=True)
+            LayoutColumn(column.name, (column.factor if unit is None else unit) * factor, zero)
+            for column, factor, zero in zip(columns, factors, zeros, strict=True)
         )
 
 
@@ -142,8 +152,10 @@ class ColumnMapping:
 
     - `joints`: names of the joints, as in the robot's file, in the order of the columns.
     - `file_joints`: what the recording calls them, where it has other names.
-    - `quantities`: `"time"`, `"position"`, `"torque"`, `"velocity"`, `"acceleration"`.
+    - `quantities`: `"time"`, `"position"`, `"torque"`, `"velocity"`, `"acceleration"`, and of
+      position servos `"command"` and `"current"`.
     - `topic`: of a bag that has several with joint states.
+    - `command_topic`: of a bag that has several with commanded positions.
     - `delimiter`: between the cells of a CSV file; by default what the header shows.
     - `source`: what the mapping was read from, for messages.
 
@@ -161,6 +173,7 @@ class ColumnMapping:
         default_factory=lambda: MappingProxyType({})
     )
     topic: str | None = None
+    command_topic: str | None = None
     delimiter: str | None = None
     source: str = "columns"
 
@@ -192,7 +205,8 @@ class ColumnMapping:
 
         **Raises** `RecordingError` for unknown keys, units and types.
         """
-        _check_keys(document, {"joints", "topic", "delimiter", "time", *QUANTITIES}, source)
+        names = ("time", *dict.fromkeys((*QUANTITIES, *COMMAND_QUANTITIES)))
+        _check_keys(document, {"joints", "topic", "command_topic", "delimiter", *names}, source)
         joints = document.get("joints")
         file_joints = None
         if isinstance(joints, Mapping):
@@ -200,7 +214,7 @@ class ColumnMapping:
             joints = list(joints)
         quantities = {
             name: MappedQuantity.of(document[name], name, f"{source}, [{name}]")
-            for name in ("time", *QUANTITIES)
+            for name in names
             if name in document
         }
         return cls(
@@ -208,11 +222,18 @@ class ColumnMapping:
             file_joints,
             MappingProxyType(quantities),
             _text(document.get("topic"), f"{source}, topic"),
+            _text(document.get("command_topic"), f"{source}, command_topic"),
             _text(document.get("delimiter"), f"{source}, delimiter"),
             source,
         )
 
-    def layout(self, file: str, header: Header, joints: int | Sequence[str] | None) -> ColumnLayout:
+    def layout(
+        self,
+        file: str,
+        header: Header,
+        joints: int | Sequence[str] | None,
+        kind: RecordingKind = TORQUE_RECORDING,
+    ) -> ColumnLayout:
         """Return the layout of a file with this mapping.
 
         **Arguments**
@@ -220,16 +241,17 @@ class ColumnMapping:
         - `file`: as it is named in messages.
         - `header`: of the file.
         - `joints`: of the robot: names, which decide on the order, or how many.
+        - `kind`: the quantities that the recording is to have.
 
         **Raises** `RecordingError` for columns that the file does not have, numbers of columns that
         differ, units of another quantity and currents without a torque constant.
         """
-        base = self._base(file, header, joints)
+        base = self._base(file, header, joints, kind)
         names = self.joints or base.joint_names
         counts = [len(names)] if names is not None else self._counts(base, joints)
         quantities = dict(base.quantities)
         for quantity, mapped in self.quantities.items():
-            if quantity == "time":
+            if quantity not in kind.quantities:
                 continue
             where = f"{self.source}, [{quantity}]"
             standard = base.quantities.get(quantity)
@@ -238,7 +260,7 @@ class ColumnMapping:
         layout = dataclasses.replace(
             base,
             time_column=self._time(base.time_column),
-            quantities={q: quantities[q] for q in QUANTITIES if q in quantities},
+            quantities={q: quantities[q] for q in kind.quantities if q in quantities},
             joint_names=names,
             relative=True,
             torque_measured=True,
@@ -249,15 +271,21 @@ class ColumnMapping:
                     f"{file}: no column {name!r} of {self.source}; the file has"
                     f" {beginning(header.names)}"
                 )
-        layout = layout.checked(file)
+        layout = layout.checked(file, kind.required)
         if self.joints is not None and not isinstance(joints, int | None) and is_numbered(joints):
             return layout.for_joints(file, len(joints))  # the mapping says their order
         return layout.for_joints(file, joints)
 
-    def _base(self, file: str, header: Header, joints: int | Sequence[str] | None) -> ColumnLayout:
+    def _base(
+        self,
+        file: str,
+        header: Header,
+        joints: int | Sequence[str] | None,
+        kind: RecordingKind,
+    ) -> ColumnLayout:
         """Return what the file's format says; no columns for a format of the user's own."""
         try:
-            base = layout_by_format(file, header)
+            base = kind.layout_by_format(file, header)
         except RecordingError as error:  # the mapping has to say everything
             hint = str(error).removeprefix(f"{file}: ")
             return ColumnLayout(LayoutColumn("time"), {}, notes=header.notes, hint=hint)
@@ -285,12 +313,14 @@ class ColumnMapping:
         return LayoutColumn(name or standard.name, si_factor(mapped.unit, "time") or 1.0)
 
 
-def _numbers(value: Any, where: str) -> list[float]:
+def _numbers(value: Any, where: str, *, zero: bool = False) -> list[float]:
+    """Return a number or several; `zero`: whether they may be 0."""
     values = value if isinstance(value, list) else [value]
     for number in values:
         real = isinstance(number, int | float) and not isinstance(number, bool)
-        if not real or not math.isfinite(number) or number == 0:
-            raise RecordingError(f"{where}: expected finite numbers other than 0, got {value!r}")
+        if not real or not math.isfinite(number) or (number == 0 and not zero):
+            other = "" if zero else " other than 0"
+            raise RecordingError(f"{where}: expected finite numbers{other}, got {value!r}")
     if not values:
         raise RecordingError(f"{where}: expected one number a joint, got none")
     return [float(number) for number in values]

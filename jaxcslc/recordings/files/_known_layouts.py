@@ -2,11 +2,13 @@
 
 import dataclasses
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from .._recording import RecordingError, column_names
 from ._layout import (
+    COMMAND_QUANTITIES,
+    COMMANDED,
     QUANTITIES,
     REQUIRED,
     ColumnLayout,
@@ -31,9 +33,34 @@ def layout_by_format(file: str, header: Header) -> ColumnLayout:
         return _rtde_layout(header)
     if {"time", "state.q[0]"} <= names:
         return _libfranka_layout(header)
-    if any(column.is_telling for column in _named_columns(header)):
-        return _named_layout(file, header)
+    columns = _TORQUE_NAMES.parsed(header.names)
+    if any(column.is_telling for column in columns):
+        return _named_layout(file, header, columns, (*QUANTITIES, "current"))
     return _own_layout(file, header.names)
+
+
+def servo_layout(file: str, header: Header) -> ColumnLayout:
+    """Choose what the columns of a file of servos mean, by their names.
+
+    Commands and positions as in `goal_position_1`, `present_position_1`, or `command_elbow [deg]`,
+    `position_elbow [deg]`; radians and seconds where a name has no unit.
+
+    **Raises** `RecordingError`: one line that says what is missing or unknown.
+    """
+    columns = _SERVO_NAMES.parsed(header.names)
+    return _named_layout(file, header, columns, COMMAND_QUANTITIES)
+
+
+class RecordingKind(NamedTuple):
+    """Kind of recording: its quantities, those that it needs, and its formats."""
+
+    quantities: tuple[str, ...]
+    required: tuple[str, ...]
+    layout_by_format: Callable[[str, Header], ColumnLayout]
+
+
+TORQUE_RECORDING = RecordingKind(QUANTITIES, REQUIRED, layout_by_format)
+SERVO_RECORDING = RecordingKind(COMMAND_QUANTITIES, COMMANDED, servo_layout)
 
 
 def _libfranka_layout(header: Header, joints: int = 7) -> ColumnLayout:
@@ -94,13 +121,49 @@ _PREFIXES = {
     "torque": ("torque", "tau", "effort"),
     "current": ("current",),
 }
-_QUANTITY_OF = {prefix: name for name, prefixes in _PREFIXES.items() for prefix in prefixes}
-_COLUMN = re.compile(
-    r"""(?P<prefix>[A-Za-z]+)
-        (?:_(?P<joint>.+?) | \[(?P<index>[0-9]+)\] | (?P<number>[0-9]+))?
-        \s*(?:[\[(]\s*(?P<unit>[^\[\]()\d][^\[\]()]*)[\])])?""",
-    re.VERBOSE,
-)
+# Commands and readings of position servos: Dynamixel's and Feetech's registers, ROS, LeRobot.
+_SERVO_PREFIXES = {
+    "time": _PREFIXES["time"],
+    "command": (
+        *("command", "commanded", "commanded_position", "command_position", "cmd"),
+        *("goal", "goal_position", "target", "target_position", "desired", "desired_position"),
+        *("reference", "setpoint", "action"),
+    ),
+    "position": (
+        *_PREFIXES["position"],
+        *("present_position", "actual_position", "measured_position", "observation.state"),
+    ),
+    "velocity": (*_PREFIXES["velocity"], "present_velocity", "present_speed"),
+    "current": ("current", "present_current"),
+}
+
+
+class _ColumnNames:
+    """Names of columns that begin with a quantity's name, and say a joint and, perhaps, a unit."""
+
+    def __init__(self, prefixes: Mapping[str, Sequence[str]]) -> None:
+        self._quantities = {prefix: name for name, given in prefixes.items() for prefix in given}
+        longest_first = sorted(self._quantities, key=len, reverse=True)
+        self._pattern = re.compile(
+            rf"""(?P<prefix>{"|".join(map(re.escape, longest_first))})
+            (?:_(?P<joint>.+?) | \[(?P<index>[0-9]+)\] | (?P<number>[0-9]+))?
+            \s*(?:[\[(]\s*(?P<unit>[^\[\]()\d][^\[\]()]*)[\])])?""",
+            re.VERBOSE | re.IGNORECASE,
+        )
+
+    def parsed(self, names: Iterable[str]) -> "list[_NamedColumn]":
+        """Parse names of columns; those that do not begin with a quantity's name are ignored."""
+        columns: list[_NamedColumn] = []
+        for name in names:
+            if (parts := self._pattern.fullmatch(name)) is not None:
+                joint = parts["joint"] or parts["index"] or parts["number"] or ""
+                quantity = self._quantities[parts["prefix"].lower()]
+                columns.append(_NamedColumn(name, quantity, joint, parts["unit"]))
+        return columns
+
+
+_TORQUE_NAMES = _ColumnNames(_PREFIXES)
+_SERVO_NAMES = _ColumnNames(_SERVO_PREFIXES)
 
 
 class _NamedColumn(NamedTuple):
@@ -135,34 +198,23 @@ class _NamedColumn(NamedTuple):
         return LayoutColumn(self.name, factor)
 
 
-def _named_columns(header: Header) -> list[_NamedColumn]:
-    """Parse the names of columns; those that do not begin with a quantity's name are ignored."""
-    columns: list[_NamedColumn] = []
-    for name in header.names:
-        parts = _COLUMN.fullmatch(name)
-        quantity = None if parts is None else _QUANTITY_OF.get(parts["prefix"].lower())
-        if parts is not None and quantity is not None:
-            joint = parts["joint"] or parts["index"] or parts["number"] or ""
-            columns.append(_NamedColumn(name, quantity, joint, parts["unit"]))
-    return columns
-
-
-def _named_layout(file: str, header: Header) -> ColumnLayout:
+def _named_layout(
+    file: str, header: Header, columns: Sequence[_NamedColumn], quantities_read: Sequence[str]
+) -> ColumnLayout:
     """Return the layout of a file whose column names say quantity, joint and, in brackets, unit.
 
     As in `t [ms],q_shoulder [deg],tau_shoulder [N m]`: SI units where a name has none. Columns
     without a quantity's name are left out, and a note says so.
     """
-    columns = _named_columns(header)
     times = [column for column in columns if column.quantity == "time" and not column.joint]
     if len(times) != 1:
         found = ", ".join(repr(column.name) for column in times) or "none"
         raise RecordingError(f"{file}: columns of time: {found}; expected one, as in 'time [s]'")
     by_quantity = {
         quantity: {column.joint: column for column in columns if column.quantity == quantity}
-        for quantity in (*QUANTITIES, "current")
+        for quantity in quantities_read
     }
-    currents = by_quantity.pop("current")
+    currents = by_quantity.pop("current") if "torque" in by_quantity else {}
     joints = list(by_quantity["position"])
     numbered = all(joint.isdigit() for joint in joints)
     if not joints:
@@ -172,6 +224,8 @@ def _named_layout(file: str, header: Header) -> ColumnLayout:
     hint = header.hint
     if currents and not by_quantity["torque"]:
         hint = _current_hint(column.name for column in currents.values())
+    if "command" not in by_quantity and _commands(header.names):
+        hint = SERVO_HINT
     quantities: dict[str, tuple[LayoutColumn, ...]] = {}
     for quantity, found in by_quantity.items():
         if not found:
@@ -192,6 +246,15 @@ def _named_layout(file: str, header: Header) -> ColumnLayout:
     more = f" and {len(unread) - 8} more" if len(unread) > 8 else ""
     note = (f"columns that are not read: {', '.join(unread[:8])}{more}",) if unread else ()
     return dataclasses.replace(layout, notes=(*header.notes, *note))
+
+
+SERVO_HINT = "but commanded positions: use --drive servo"
+"""Why a recording of servos has no torque, and what to do."""
+
+
+def _commands(names: Iterable[str]) -> list[str]:
+    """Return those names of columns that are of commanded positions."""
+    return [c.name for c in _SERVO_NAMES.parsed(names) if c.quantity == "command"]
 
 
 def _current_hint(names: Iterable[str]) -> str:
@@ -225,6 +288,8 @@ def _own_layout(file: str, names: Sequence[str]) -> ColumnLayout:
             numbers[parts[1]].add(int(parts[2]))
         elif name != "time":
             unknown.append(name)
+    if _commands(unknown) and not numbers["torque"]:
+        raise RecordingError(f"{file}: no torque, {SERVO_HINT}")
     if unknown:
         raise wrong(f"unknown column {listed(unknown, 4)}")
     if "time" not in names:

@@ -19,6 +19,9 @@ from .._recording import RecordingError
 
 REQUIRED = ("position", "torque")
 QUANTITIES = (*REQUIRED, "velocity", "acceleration")
+COMMANDED = ("position", "command")
+"""Quantities that a recording of position servos needs."""
+COMMAND_QUANTITIES = (*COMMANDED, "velocity", "current")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,10 +42,11 @@ class Header:
 
 @dataclasses.dataclass(frozen=True)
 class LayoutColumn:
-    """A column of a file, and the factor that makes SI units of its values."""
+    """A column of a file, and what makes SI units of its values: (value - zero) times factor."""
 
     name: str
     factor: float = 1.0
+    zero: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,30 +90,38 @@ class ColumnLayout:
         """SI units in one unit of each column that is read."""
         return {column.name: column.factor for column in self.columns}
 
+    @property
+    def zeros(self) -> dict[str, float]:
+        """Value of each column that is read, in its unit, that stands for 0."""
+        return {column.name: column.zero for column in self.columns}
+
     def split(
-        self, table: Mapping[str, Float[np.ndarray, " rows"]]
+        self,
+        table: Mapping[str, Float[np.ndarray, " rows"]],
+        quantities: Sequence[str] = QUANTITIES,
     ) -> dict[str, Float[np.ndarray, "rows joints"] | None]:
         """Return the columns of a table put together, an array per quantity; `None` if absent."""
         return {
             quantity: np.stack([table[column.name] for column in self.quantities[quantity]], 1)
             if quantity in self.quantities
             else None
-            for quantity in QUANTITIES
+            for quantity in quantities
         }
 
-    def checked(self, file: str) -> "ColumnLayout":
+    def checked(self, file: str, required: Sequence[str] = REQUIRED) -> "ColumnLayout":
         """Return the layout, if a recording can be made of it.
 
         **Raises** `RecordingError` for a quantity that is missing, numbers of columns that differ,
         or a column that is used twice.
         """
-        for quantity in REQUIRED:
+        for quantity in required:
             if not self.quantities.get(quantity):
                 reason = self.hint or (
                     f"the file has no column of it; expected {quantity}_1 and on, or by joint as in"
                     f" {quantity}_elbow, or columns in [{quantity}] of a file of --columns"
                 )
-                raise RecordingError(f"{file}: no {quantity}: {reason}")
+                mark = "," if reason.startswith("but ") else ":"
+                raise RecordingError(f"{file}: no {quantity}{mark} {reason}")
         for quantity, columns in self.quantities.items():
             if len(columns) != self.joints:
                 raise RecordingError(
@@ -225,11 +237,16 @@ def one_line(error: Exception, most: int = 300) -> str:
 
 _TURN = 2.0 * math.pi
 _DEGREE = math.pi / 180.0
+_POSITION = {
+    **{"rad": 1.0, "mrad": 1e-3, "deg": _DEGREE, "rev": _TURN, "m": 1.0, "mm": 1e-3},
+    "tick": _TURN / 4096.0,  # of the 12-bit encoders of Dynamixel X and Feetech STS servos
+}
 
 UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {
         "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "epoch": 1.0},
-        "position": {"rad": 1.0, "mrad": 1e-3, "deg": _DEGREE, "rev": _TURN, "m": 1.0, "mm": 1e-3},
+        "position": _POSITION,
+        "command": _POSITION,
         "velocity": {
             **{"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREE, "rpm": _TURN / 60.0},
             **{"m/s": 1.0, "mm/s": 1e-3},
@@ -242,7 +259,7 @@ UNITS: Mapping[str, Mapping[str, float]] = MappingProxyType(
 """SI units in one of each unit, by quantity; those of revolute joints and of prismatic ones."""
 
 _SPELLINGS = {
-    **{"µ": "u", "μ": "u", "°": "deg", "degrees": "deg", "degree": "deg"},
+    **{"µ": "u", "μ": "u", "°": "deg", "degrees": "deg", "degree": "deg", "ticks": "tick"},
     **{"²": "^2", "s2": "s^2", "**": "^", "·": "", "*": ""},
 }
 

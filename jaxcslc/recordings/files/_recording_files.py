@@ -105,7 +105,7 @@ def load_recording(
     """
     path = Path(path)
     layout, pieces = _opened(path, joints, columns)
-    table = _whole(path, pieces)
+    table = whole(path, pieces)
     return Recording(
         table["time"],
         **layout.split(table),  # pyright: ignore[reportArgumentType]
@@ -197,8 +197,8 @@ def load_recordings(
     """
     from ._tables import topics_of  # loads Arrow, which others need not wait for
 
-    path, mapping = Path(path), _mapping_of(columns) or ColumnMapping()
-    topics = topics_of(path, _file_joints(mapping, joints), mapping.topic)
+    path, mapping = Path(path), mapping_of(columns) or ColumnMapping()
+    topics = topics_of(path, file_joints(mapping, joints), mapping.topic)
     if topics is None:
         return {path.name: load_recording(path, joints, mapping)}
     return {
@@ -296,7 +296,11 @@ def column_names_of(path: str | os.PathLike[str]) -> tuple[str, ...]:
 
 
 def load_columns(
-    path: str | os.PathLike[str], names: Sequence[str] | None = None
+    path: str | os.PathLike[str],
+    names: Sequence[str] | None = None,
+    *,
+    time: str = "time",
+    least: int = MINIMUM_SAMPLES,
 ) -> dict[str, Float[np.ndarray, " samples"]]:
     """Read columns of any names from a file of samples.
 
@@ -305,6 +309,8 @@ def load_columns(
     - `path`: of a `.csv`, `.parquet` or `.npz` file with a column `time` [s].
     - `names`: of the columns to read beside it, which may be in any order among others; all if
       omitted.
+    - `time`: name of the column that increases from row to row.
+    - `least`: number of rows that the file must have.
 
     **Returns**
 
@@ -327,25 +333,25 @@ def load_columns(
 
     def layout_of(file: str, header: Header) -> ColumnLayout:
         have = header.names
-        wanted = dict.fromkeys(["time", *(have if names is None else names)])
+        wanted = dict.fromkeys([time, *(have if names is None else names)])
         for name in wanted:
             if have.count(name) != 1:
                 problem = "missing column" if name not in have else "more than one column"
                 raise RecordingError(f"{file}: {problem} {name!r}; the file has {beginning(have)}")
-        others = tuple(LayoutColumn(name) for name in wanted if name != "time")
-        return ColumnLayout(LayoutColumn("time"), {"columns": others}, relative=False)
+        others = tuple(LayoutColumn(name) for name in wanted if name != time)
+        return ColumnLayout(LayoutColumn(time), {"columns": others}, relative=False)
 
     _, pieces = open_table(Path(path), layout_of)
-    return _whole(Path(path), pieces)
+    return whole(Path(path), pieces, least)
 
 
-def _whole(path: Path, pieces: Iterator[Table]) -> Table:
+def whole(path: object, pieces: Iterator[Table], least: int = MINIMUM_SAMPLES) -> Table:
     """Put pieces of a file together, which must have enough rows for a recording."""
     tables = list(pieces)
     samples = sum(table["time"].size for table in tables)
-    if samples < MINIMUM_SAMPLES:
+    if samples < least:
         raise RecordingError(
-            f"{path}: {samples or 'no'} rows of samples; expected at least {MINIMUM_SAMPLES}"
+            f"{path}: {samples or 'no'} rows of samples; expected at least {least}"
         )
     return _joined(tables)
 
@@ -407,7 +413,7 @@ def _opened(
     """Open a file: its layout, and its rows piece by piece."""
     from ._tables import open_table  # loads Arrow, which others need not wait for
 
-    mapping = _mapping_of(columns)
+    mapping = mapping_of(columns)
 
     def layout_of(file: str, header: Header) -> ColumnLayout:
         if mapping is not None:
@@ -419,19 +425,20 @@ def _opened(
         layout_of,
         delimiter=None if mapping is None else mapping.delimiter,
         topic=None if mapping is None else mapping.topic,
-        joints=_file_joints(mapping, joints),
+        joints=file_joints(mapping, joints),
     )
 
 
-def _mapping_of(
+def mapping_of(
     columns: ColumnMapping | str | os.PathLike[str] | None,
 ) -> ColumnMapping | None:
+    """Return a mapping, which may be in a file."""
     if columns is None or isinstance(columns, ColumnMapping):
         return columns
     return ColumnMapping.load(columns)
 
 
-def _file_joints(
+def file_joints(
     mapping: ColumnMapping | None, joints: int | Sequence[str] | None
 ) -> Sequence[str] | None:
     """Return the joints that a recording must have, as it calls them; None if they are numbered."""

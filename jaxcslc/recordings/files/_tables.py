@@ -17,12 +17,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 from jaxtyping import Float
 
 from .._recording import RecordingError, first_fault
 from ._bag import joint_states, read_bag
+from ._known_layouts import SERVO_HINT
 from ._layout import ColumnLayout, Header, beginning, one_line
 
 
@@ -30,6 +32,9 @@ ROW_GROUP = 1 << 16
 """Rows of a Parquet row group: what its readers must be able to hold at a time."""
 
 _READ_BYTES = 1 << 20  # of a file at a time: enough for speed, little next to a chunk's arrays
+SERVO_FOLDERS = ("meta/info.json", "control.csv", "control.csv.gz")
+"""What folders of servos' recordings have: data sets of LeRobot, and SAGE's logs."""
+
 _DELIMITERS = (",", ";", "\t", " ")
 _EXACT_DIGITS = np.finfo(np.float64).precision  # beyond, float64 rounds integers
 _TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -103,17 +108,42 @@ def open_table(
             file = _open_arrays(path, *read_bag(path, joints, topic))
         else:
             file = _open_arrays(path, *_read_npz(path))
-        layout = layout_of(str(path), file.header)
-        for name in layout.names:
-            if name not in file.header.names:
-                raise RecordingError(
-                    f"{path}: no column {name!r}; the file has {beginning(file.header.names)}"
-                )
-            if file.header.names.count(name) > 1:
-                raise RecordingError(f"{path}: column {name!r} occurs more than once")
-        return layout, _checked(path, file, layout, file.read(layout))
+        return _laid_out(str(path), file, layout_of)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {one_line(error)}") from error
+
+
+def open_columns(
+    place: str,
+    header: Header,
+    columns: Columns,
+    layout_of: Callable[[str, Header], ColumnLayout],
+) -> tuple[ColumnLayout, Iterator[Table]]:
+    """Open columns that are in memory; `place` names them in messages, else as `open_table`."""
+    return _laid_out(place, _open_arrays(place, header, columns), layout_of)
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a file is a bag of ROS.
+
+    **Raises** `RecordingError` for a file that is missing or of an unknown type.
+    """
+    return _kind_of(path) == "bag"
+
+
+def _laid_out(
+    place: str, file: _File, layout_of: Callable[[str, Header], ColumnLayout]
+) -> tuple[ColumnLayout, Iterator[Table]]:
+    """Return the layout of an open file, and its checked rows."""
+    layout = layout_of(place, file.header)
+    for name in layout.names:
+        if name not in file.header.names:
+            raise RecordingError(
+                f"{place}: no column {name!r}; the file has {beginning(file.header.names)}"
+            )
+        if file.header.names.count(name) > 1:
+            raise RecordingError(f"{place}: column {name!r} occurs more than once")
+    return layout, _checked(place, file, layout, file.read(layout))
 
 
 def topics_of(path: Path, joints: Sequence[str] | None, topic: str | None) -> list[str] | None:
@@ -169,6 +199,8 @@ def _kind_of(path: Path) -> str:
     if path.is_dir():
         if (path / "metadata.yaml").exists():
             return "bag"
+        if any((path / name).exists() for name in SERVO_FOLDERS):
+            raise RecordingError(f"{path}: no torque, {SERVO_HINT}")
         raise RecordingError(
             f"{path}: is a folder without the metadata.yaml of a ROS 2 bag; expected a file:"
             f" {_EXPECTED}"
@@ -184,13 +216,13 @@ def _kind_of(path: Path) -> str:
 
 
 def _checked(
-    path: Path, file: _File, layout: ColumnLayout, pieces: Iterator[Columns]
+    place: str, file: _File, layout: ColumnLayout, pieces: Iterator[Columns]
 ) -> Iterator[Table]:
     """Return pieces in SI units, every row checked."""
     before: dict[str, float] | None = None
     row = 0
     start = None
-    factors, time_name = layout.factors, layout.time_column.name
+    factors, zeros, time_name = layout.factors, layout.zeros, layout.time_column.name
     tick = file.tick(time_name)
     for piece in pieces:
         time = piece.pop(time_name)
@@ -202,27 +234,30 @@ def _checked(
             with np.errstate(invalid="ignore"):  # infinite times are a fault that is named below
                 time = time - start
         seconds = np.asarray(time * (tick or factors[time_name]), np.float64)
-        values = {name: np.asarray(v * factors[name], np.float64) for name, v in piece.items()}
+        values = {
+            name: np.asarray((v - zeros[name]) * factors[name], np.float64)
+            for name, v in piece.items()
+        }
         table = {"time": seconds, **values}
         if fault := first_fault(table, before):
             number = file.line(row + fault.row)
             where = f"row {row + fault.row + 1}" + ("" if number is None else f" (line {number})")
             name = time_name if fault.column == "time" else fault.column
             column = "" if name is None else f", column {name}"
-            raise RecordingError(f"{path}: {where}{column}: {fault.problem}")
+            raise RecordingError(f"{place}: {where}{column}: {fault.problem}")
         yield table
         before = {name: float(values[-1]) for name, values in table.items()}
         row += time.size
 
 
-def _open_arrays(path: Path, header: Header, arrays: Mapping[str, np.ndarray]) -> _File:
+def _open_arrays(place: object, header: Header, arrays: Mapping[str, np.ndarray]) -> _File:
     """Open columns that are in memory."""
 
     def read(layout: ColumnLayout) -> Iterator[Columns]:
         sizes = {name: arrays[name].size for name in layout.names}
         if len(set(sizes.values())) > 1:
             listed = ", ".join(f"{name} {size}" for name, size in sizes.items())
-            raise RecordingError(f"{path}: arrays of different lengths: {listed}")
+            raise RecordingError(f"{place}: arrays of different lengths: {listed}")
         return iter([{name: arrays[name] for name in layout.names}])
 
     return _File(header, read)
@@ -308,40 +343,84 @@ def _array(column: pa.Array) -> np.ndarray:
     return column.to_numpy(zero_copy_only=False)
 
 
+class _Cell(NamedTuple):
+    """Place of a number in a Parquet file.
+
+    Its column, the type of its numbers and, in a column of lists, its place and their length.
+    """
+
+    column: str
+    kind: pa.DataType
+    place: int = 0
+    length: int | None = None
+
+
 def _open_parquet(path: Path) -> _File:
-    """Open a Parquet file of numbers, decimals and time stamps."""
+    """Open a Parquet file of numbers, decimals, time stamps, and lists of numbers.
+
+    A column of lists, as in data sets of LeRobot, is the columns `name[0]`, `name[1]` and on.
+    """
     try:
         with path.open("rb") as stream, pq.ParquetFile(stream) as file:
-            schema = file.schema_arrow
+            listed = list(_parquet_cells(file))
+            cells = dict(listed)
     except PermissionError:
         raise
     except (pa.ArrowException, UnicodeDecodeError, OSError) as error:
         raise RecordingError(f"{path}: is no readable Parquet file: {one_line(error)}") from error
 
     def tick(name: str) -> float | None:
-        kind = schema.field(name).type
+        kind = cells[name].kind
         stamps = pa.types.is_timestamp(kind) or pa.types.is_duration(kind)
         return _TICKS[kind.unit] if stamps else None
 
     def read(layout: ColumnLayout) -> Iterator[Columns]:
         time = layout.time_column.name
         numbers = (pa.types.is_floating, pa.types.is_integer, pa.types.is_decimal)
-        types: dict[str, pa.DataType] = {}
+        wanted: dict[str, _Cell] = {}
         for name in layout.names:
-            kind = schema.field(name).type
+            kind = cells[name].kind
             if name == time and (pa.types.is_integer(kind) or tick(name) is not None):
-                types[name] = pa.int64()
+                wanted[name] = cells[name]._replace(kind=pa.int64())
             elif any(number(kind) for number in numbers):
-                types[name] = pa.float64()
+                wanted[name] = cells[name]._replace(kind=pa.float64())
             else:
                 raise RecordingError(f"{path}: column {name} holds {kind}; expected numbers")
-        return _parquet_pieces(path, types)
+        return _parquet_pieces(path, wanted)
 
-    return _File(Header(list(schema.names)), read, tick)
+    return _File(Header([name for name, _ in listed]), read, tick)
 
 
-def _parquet_pieces(path: Path, types: dict[str, pa.DataType]) -> Iterator[Columns]:
+def _parquet_cells(file: pq.ParquetFile) -> Iterator[tuple[str, _Cell]]:
+    """Yield the names under which the numbers of a file are read, and their places."""
+    schema = file.schema_arrow
+    lists = [field.name for field in schema if _is_list(field.type)]
+    first: dict[str, list[Any]] = {}
+    if lists:
+        batch = next(file.iter_batches(1, columns=lists), None)
+        first = {} if batch is None else {name: batch.column(name)[0].as_py() for name in lists}
+    for field in schema:
+        if field.name in lists:
+            length = len(first.get(field.name) or ())
+            for index in range(length):
+                yield (
+                    f"{field.name}[{index}]",
+                    _Cell(field.name, field.type.value_type, index, length),
+                )
+        else:
+            yield field.name, _Cell(field.name, field.type)
+
+
+def _is_list(kind: pa.DataType) -> bool:
+    return any(
+        test(kind)
+        for test in (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
+    )
+
+
+def _parquet_pieces(path: Path, cells: Mapping[str, _Cell]) -> Iterator[Columns]:
     row = 0
+    columns = list(dict.fromkeys(cell.column for cell in cells.values()))
     try:
         # Buffered reading takes pages as they are needed; a row group may be the whole file.
         with (
@@ -349,10 +428,10 @@ def _parquet_pieces(path: Path, types: dict[str, pa.DataType]) -> Iterator[Colum
             pq.ParquetFile(stream, buffer_size=_READ_BYTES, pre_buffer=False) as file,
         ):
             batches = file.iter_batches(
-                batch_size=ROW_GROUP // 4, columns=list(types), use_threads=False
+                batch_size=ROW_GROUP // 4, columns=columns, use_threads=False
             )
             for batch in batches:
-                for name in types:
+                for name in columns:
                     nulls = batch.column(name).is_null().to_numpy(zero_copy_only=False)
                     if nulls.any():
                         raise RecordingError(
@@ -360,12 +439,27 @@ def _parquet_pieces(path: Path, types: dict[str, pa.DataType]) -> Iterator[Colum
                             "an empty cell; expected a number"
                         )
                 yield {
-                    name: _array(batch.column(name).cast(kind, safe=False))
-                    for name, kind in types.items()
+                    name: _array(_numbers(path, row, cell, batch.column(cell.column)))
+                    for name, cell in cells.items()
                 }
                 row += batch.num_rows
     except (pa.ArrowInvalid, UnicodeDecodeError, OSError) as error:
         raise RecordingError(f"{path}: is damaged after row {row}: {one_line(error)}") from error
+
+
+def _numbers(path: Path, row: int, cell: _Cell, column: Any) -> pa.Array:
+    """Return the numbers of some rows, of which `row` come before; lists have one length."""
+    if cell.length is not None:
+        lengths = pc.list_value_length(column).to_numpy(zero_copy_only=False)
+        wrong = lengths != cell.length
+        if wrong.any():
+            at = int(np.argmax(wrong))
+            raise RecordingError(
+                f"{path}: row {row + at + 1}, column {cell.column}: {lengths[at]} values; expected"
+                f" {cell.length}, as in the first row"
+            )
+        column = column.flatten()[cell.place :: cell.length]
+    return column.cast(cell.kind, safe=False)
 
 
 class _CsvHeader(NamedTuple):
