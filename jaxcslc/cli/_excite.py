@@ -100,7 +100,8 @@ class MotionOptions:
             "--reach",
             group="goal",
             metavar="PERCENT",
-            help="Target relative standard error. Does nothing if it is already met.",
+            help="Target standard error, of the value or, if that is larger, of what makes 1 % of a"
+            " joint's torque. Does nothing if it is already met.",
         ),
     ] = None
     criterion: Annotated[
@@ -285,7 +286,7 @@ def excite_command(
         lines += [f"  {gain}" for gain in design.prediction.gains()]
     if (target := options.target) is not None:
         seconds = design.seconds_for(target / 100)
-        lines.append(f"{target:g} % of all sizes: about {seconds:.3g} s of such motion")
+        lines.append(f"{target:g} % (--target) takes about {seconds:.3g} s of such motion")
     data: Callable[[], Any] = lambda: {
         "criterion": design.criterion,
         "value": design.value,
@@ -377,7 +378,7 @@ def _reached(before: _Before, names: list[str] | None, target: float | None) -> 
     size = np.abs(before.knowledge.k[indices])
     relative = 100 * before.knowledge.standard_error[indices] / np.where(size > 0, size, np.inf)
     if np.all(relative <= target):
-        return f"nothing to record: standard errors are {np.max(relative):.3g} % or less already"
+        return f"nothing to record: --target is met, {np.max(relative):.3g} % or less"
     return None
 
 

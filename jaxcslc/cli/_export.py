@@ -44,12 +44,15 @@ def export_command(
         ),
     ] = True,
     overwrite: Annotated[bool, option(help="Let the output be the robot's own file.")] = False,
+    force: Annotated[
+        bool, option(help="Export a result whose verdict is not to rely on it.")
+    ] = False,
 ) -> Output:
     """Write identified parameters into the robot's own file, or as C code for a controller.
 
     Masses, centres of gravity and inertia tensors are the physically consistent ones nearest to
     the identified coefficients. Nothing else in the file changes. It is read again to prove that
-    it predicts the same torques.
+    it predicts the same torques. A result whose verdict is not to rely on it is refused.
 
     C code has the identified coefficients as they are, and the states of pre-sliding friction where
     identify used them.
@@ -61,6 +64,11 @@ def export_command(
         if not c and not overwrite and path.exists() and file.exists() and path.samefile(file):
             raise ValueError(f"{path}: is the robot's own file; expected another, or --overwrite")
         saved = load_report(identification, part.read(str(file)))
+        if (objections := saved.objections) and not force:
+            raise ValueError(
+                f"{identification}: its verdict is not to rely on it: {objections[0]} Expected a"
+                " result without ✗, or --force"
+            )
         if c:
             step("writing C")
             code, note = _c_code(saved)

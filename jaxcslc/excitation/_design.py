@@ -145,7 +145,7 @@ def design_motion(
     >>> design = design_motion(
     ...     network, limits, noise, duration=3.0, knowledge=knowledge, effort=effort
     ... )
-    >>> design.use.feasible, bool(np.max(design.prediction.relative_error) < 0.2)
+    >>> design.use.feasible, bool(np.max(design.prediction.sized_error) < 0.2)
     (True, True)
     """
     family = family_named(family, duration) if isinstance(family, str) else family

@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float
 from ..least_squares import Identification
 from ..network import CSLC
 from ..recordings import Sampling, decimation_for
+from ..report import compared_with_value
 from ._families import Times
 
 
@@ -434,7 +435,9 @@ class Prediction:
     **Attributes**
 
     - `names`, `units`: of the coefficients.
-    - `k`: (p,) prior coefficients; `size`: (p,) the sizes that errors are compared with.
+    - `k`: (p,) prior coefficients; 0 where no value is known.
+    - `size`: (p,) that errors are compared with in criteria and targets: the absolute value, or
+      what makes 1 % of a joint's torque if that is larger (`coefficient_sizes`).
     - `covariance`: (p, p) predicted, in the coefficients' units.
     - `before`: (p,) standard errors without the motion: of earlier recordings; infinite without.
     - `condition`, `scaled_condition`: of the stacked regressor, in SI units and with columns of
@@ -447,7 +450,7 @@ class Prediction:
     ...     np.array([0.4]), 10.0, 3.0,
     ... )
     >>> prediction.relative_error.tolist(), prediction.gains()[0]
-    ([0.05], 'kd1: interval ±39 % to ±9.8 %')
+    ([0.05], 'kd1: standard error 20 % of the value, then 5 % of the value')
     """
 
     names: tuple[str, ...]
@@ -465,29 +468,43 @@ class Prediction:
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
-    def relative_error(self) -> Float[np.ndarray, " coefficients"]:
+    def sized_error(self) -> Float[np.ndarray, " coefficients"]:
         """(p,) standard errors over sizes."""
         return self.standard_error / self.size
 
     @property
+    def relative_error(self) -> Float[np.ndarray, " coefficients"]:
+        """(p,) standard errors over values, as `identify` has them; over sizes without a value."""
+        return self.standard_error / self._value
+
+    @property
+    def _value(self) -> Float[np.ndarray, " coefficients"]:
+        return np.where(self.k == 0.0, self.size, np.abs(self.k))
+
+    @property
     def determined(self) -> Bool[np.ndarray, " coefficients"]:
         """True for each coefficient that the motion and the prior knowledge determine."""
-        return self.relative_error <= 0.1 * UNDETERMINED
+        return self.sized_error <= 0.1 * UNDETERMINED
 
     def gains(self, most: int = 8) -> list[str]:
-        """Return one line per coefficient, largest gain first: 95 % intervals before and after."""
+        """Return one line per coefficient, largest gain first: standard errors before and after."""
         ratio = np.where(self.determined, self.standard_error / self.before, np.inf)
-        order = np.argsort(ratio)[: min(most, int(self.determined.sum()))]
+        order = np.argsort(ratio)[: min(most, int(self.determined.sum()))].tolist()
+        names = (self.names[i] for i in order)
         return [
-            f"{self.names[i]}: interval {_interval(float(self.before[i] / self.size[i]))} to"
-            f" {_interval(float(self.relative_error[i]))}"
-            for i in order
+            f"{name}: {self._text_before(name)}, then {self.error_text(name)}" for name in names
         ]
 
+    def error_text(self, name: str) -> str:
+        """Return the standard error of a coefficient next to its value, as `identify` has it."""
+        i = self.names.index(name)
+        return compared_with_value(float(self.standard_error[i]), float(self._value[i]))
 
-def _interval(relative: float) -> str:
-    """Return half of a 95 % interval as text."""
-    return f"±{196 * relative:.2g} %" if np.isfinite(relative) else "not determined"
+    def _text_before(self, name: str) -> str:
+        i = self.names.index(name)
+        if not np.isfinite(before := float(self.before[i])):
+            return "not determined"
+        return f"standard error {compared_with_value(before, float(self._value[i]))}"
 
 
 def condition_number(products: Square) -> float:

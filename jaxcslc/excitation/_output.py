@@ -25,6 +25,7 @@ from ..report import (
     PanelChart,
     Section,
     Table,
+    compared_with_value,
     render,
 )
 from ._criteria import EXPLANATIONS
@@ -75,10 +76,16 @@ class Design:
         return time, tuple(np.asarray(x) for x in motion)
 
     def relative_errors(self) -> dict[str, float]:
-        """Return standard errors over sizes of the wanted coefficients that are determined."""
-        relative, determined = self.prediction.relative_error, self.prediction.determined
+        """Return standard errors over values of the wanted coefficients that are determined.
+
+        Where no value is known, its size takes its place.
+        """
+        return self._determined(self.prediction.relative_error)
+
+    def _determined(self, errors: Float[np.ndarray, " coefficients"]) -> dict[str, float]:
         indices = {name: self.network.names.index(name) for name in self.wanted}
-        return {name: float(relative[i]) for name, i in indices.items() if determined[i]}
+        determined = self.prediction.determined
+        return {name: float(errors[i]) for name, i in indices.items() if determined[i]}
 
     @property
     def undetermined(self) -> tuple[str, ...]:
@@ -86,13 +93,13 @@ class Design:
         return tuple(name for name in self.wanted if name not in self.relative_errors())
 
     def seconds_for(self, relative: float) -> float:
-        """Return how long to repeat this motion to reach a relative standard error [s].
+        """Return how long to repeat this motion to reach standard errors over sizes [s].
 
         It must hold for all wanted coefficients; infinite where the motion does not determine one.
         """
         if self.undetermined:
             return np.inf
-        worst = max(self.relative_errors().values())
+        worst = max(self._determined(self.prediction.sized_error).values())
         return self.family.duration * max(worst / relative, 1e-12) ** 2
 
     def __str__(self) -> str:
@@ -102,13 +109,10 @@ class Design:
             f"condition number {self.prediction.condition:.4g}, of columns of unit length"
             f" {self.prediction.scaled_condition:.4g}",
         ]
-        if errors := self.relative_errors():
-            worst = max(errors, key=lambda name: errors[name])
-            median = np.median([*errors.values()])
-            lines.append(
-                f"predicted standard errors over sizes: median {100 * median:.3g} %,"
-                f" largest {100 * errors[worst]:.3g} % ({worst})"
-            )
+        if self.relative_errors():
+            median, largest = _median_and_worst(self)
+            lines.append(f"predicted standard errors: median {median}, largest {largest}")
+            lines += [f"  {line}" for line in _without_value(self)]
         if self.undetermined:
             lines.append(f"not determined by this motion: {', '.join(self.undetermined)}")
         notes = (*(self.collisions or (_UNWATCHED,)), *self.notes)
@@ -146,6 +150,24 @@ def design_page(design: Design, command: str = "") -> str:
     return render(page)
 
 
+def _median_and_worst(design: Design) -> tuple[str, str]:
+    """Return texts of the median of relative errors, and of the largest with its name."""
+    errors = design.relative_errors()
+    worst = max(errors, key=lambda name: errors[name])
+    median = compared_with_value(float(np.median([*errors.values()])), 1.0)
+    return median, f"{design.prediction.error_text(worst)} ({worst})"
+
+
+def _without_value(design: Design) -> list[str]:
+    """Return a sentence on coefficients whose errors cannot be compared with a value, if any."""
+    names, k = design.prediction.names, design.prediction.k.tolist()
+    unknown = [n for n, v in zip(names, k, strict=True) if v == 0.0 and n in design.wanted]
+    if not unknown:
+        return []
+    shown = ", ".join(unknown[:4]) + (" and others" if len(unknown) > 4 else "")
+    return [f"no value is known of {shown}: what makes 1 % of a joint's torque takes its place"]
+
+
 def _sentence(note: str) -> str:
     return f"{note[0].upper()}{note[1:]}."
 
@@ -154,26 +176,29 @@ def _headline(design: Design) -> str:
     spent = f"{design.family.duration:g} s of this motion determine"
     if not (errors := design.relative_errors()):
         return f"{spent} none of the coefficients."
-    worst = max(errors, key=lambda name: errors[name])
-    median = 100 * np.median([*errors.values()])
+    median, largest = _median_and_worst(design)
     return (
-        f"{spent} {len(errors)} coefficients to {median:.2g} % of their size (median),"
-        f" {worst} to {100 * errors[worst]:.2g} %."
+        f"{spent} {len(errors)} coefficients. Predicted standard errors: median {median}, largest"
+        f" {largest}."
     )
 
 
 def _predicted(design: Design) -> Section:
     prediction = design.prediction
-    before = 196 * prediction.before / prediction.size
-    after = np.where(prediction.determined, 196 * prediction.relative_error, np.inf)
-    values = (prediction.k.tolist(), before.tolist(), after.tolist())
+    after = np.where(prediction.determined, prediction.standard_error, np.inf)
+    value = np.where(prediction.k == 0.0, np.nan, np.abs(prediction.k))
+    errors = (prediction.before, after, 100 * prediction.before / value, 100 * after / value)
+    values = (prediction.k.tolist(), *(error.tolist() for error in errors))
     rows = tuple(zip(prediction.names, prediction.units, *values, strict=True))
+    percent = "standard error over value; none where no value is known"
     columns = (
         Column("coefficient", numeric=False),
         Column("unit", numeric=False),
         Column("prior value"),
-        Column("interval before [%]", "half of a 95 % interval over the size", 3),
-        Column("interval after [%]", "half of a 95 % interval over the size", 3),
+        Column("std error before"),
+        Column("std error after"),
+        Column("before [%]", percent, 3),
+        Column("after [%]", percent, 3),
     )
     lead = (
         f"Designed for: {design.criterion}, {EXPLANATIONS[design.criterion]}; reached"
@@ -181,7 +206,7 @@ def _predicted(design: Design) -> Section:
         f" {prediction.condition:.4g}, with columns of unit length"
         f" {prediction.scaled_condition:.4g}."
     )
-    return Section("Predicted intervals", lead, (Table(columns, rows, name="predicted"),))
+    return Section("Predicted errors", lead, (Table(columns, rows, name="predicted"),))
 
 
 def _film(design: Design) -> list[Section]:

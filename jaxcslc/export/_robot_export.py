@@ -287,11 +287,11 @@ class RobotExport:
         lines += [f"warning: {warning}" for warning in self.warnings]
         if written.motors is not None:
             lines.append(
-                f"URDF has no element for motor inertia: it is in {written.motors}, and the bodies"
-                " are those beside it (--no-motors puts it into the bodies)"
+                f"URDF has no element for motor inertia: {written.motors} holds it. Link inertias"
+                " of the URDF do not include it, except with --no-motors."
             )
         if written.left_out:
-            lines.append(f"the file has no entry for {', '.join(written.left_out)}: left out")
+            lines.append(f"the file has no entry for {', '.join(written.left_out)}: omitted")
         lines.append(
             f"\nwrote {written.path}; read again, it predicts the same torques to"
             f" {np.max(written.largest):.1e} {' or '.join(dict.fromkeys(units))}"

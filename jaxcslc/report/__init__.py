@@ -24,6 +24,7 @@ from ._coefficients import (
     Verdict as Verdict,
     coefficient_rows as coefficient_rows,
     coefficient_text as coefficient_text,
+    compared_with_value as compared_with_value,
     verdicts as verdicts,
 )
 from ._comparison import ReportComparison as ReportComparison, compare_reports as compare_reports

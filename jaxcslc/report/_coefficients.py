@@ -303,7 +303,7 @@ def verdicts(
         name, (low, high) = coefficient.name, interval[i]
         value, error = values[i], errors[i]
         relative = abs(error / value) if value else np.inf
-        reason = f"standard error {_compared(error, value)}"
+        reason = f"standard error {compared_with_value(error, value)}"
         if inflation is not None and relative > _WELL and inflation[i] > _CORRELATED:
             times = f"{np.sqrt(inflation[i]):.2g} times"
             reason += f" (increased {times} by correlation with other coefficients)"
@@ -312,7 +312,7 @@ def verdicts(
         if relative <= _WELL and not (small and shift[i] <= _WELL_SYSTEMATIC * abs(value)):
             kind = "systematic error"
         if systematic is not None and (shift[i] > error or kind == "systematic error"):
-            reason += f"; systematic error {_compared(shift[i], value)}"
+            reason += f"; systematic error {compared_with_value(shift[i], value)}"
             reason += f", mostly from {systematic.main_cause(i)}"
         if not determined[i]:
             kind, reason = "not determined", combinations[name]
@@ -326,8 +326,12 @@ def verdicts(
     return tuple(result)
 
 
-def _compared(error: float, value: float) -> str:
-    """An error beside its value: '12 % of the value', '1.4 times the value'."""
+def compared_with_value(error: float, value: float) -> str:
+    """Return an error next to its value as text.
+
+    >>> compared_with_value(0.12, 1.0), compared_with_value(1.4, 1.0)
+    ('12 % of the value', '1.4 times the value')
+    """
     part = error / abs(value) if value else np.inf
     if part > _FAR:
         return f"{error:.2g} for a value of {value:.2g}"
@@ -345,17 +349,53 @@ def _determined_combinations(fit: Identification) -> dict[str, str]:
 
 
 class CoefficientRow(dict[str, str | float | bool]):
-    """Row of a coefficient, which prints as one line.
+    """Row of a coefficient, which prints as one line; its columns also are attributes.
 
     >>> row = {"name": "kd1", "value": 0.5, "unit": "N m", "low": 0.4, "high": 0.6}
-    >>> CoefficientRow(row | {"verdict": "poorly determined"})
+    >>> row |= {"standard_error": 0.03, "systematic_error": 0.04}
+    >>> friction = CoefficientRow(row | {"verdict": "poorly determined"})
+    >>> friction
     kd1 = 0.5 N m, 95 % interval 0.4 to 0.6, poorly determined
+    >>> friction.value, friction.error, friction.interval
+    (0.5, 0.05, (0.4, 0.6))
     """
 
+    @property
+    def value(self) -> float:
+        """The identified value, in `unit`."""
+        return float(self["value"])
+
+    @property
+    def error(self) -> float:
+        """Standard and systematic error together, in `unit`: one of `Report.standard_errors`."""
+        return float(np.hypot(self["standard_error"], self.get("systematic_error", 0.0)))
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The ends of the 95 % confidence interval, in `unit`."""
+        return float(self["low"]), float(self["high"])
+
+    @property
+    def unit(self) -> str:
+        """The unit, as text."""
+        return str(self["unit"])
+
+    @property
+    def expression(self) -> str:
+        """The closed form in parameters of the links, to read; `["expression"]` has all digits."""
+        return readable(str(self["expression"]))
+
+    @property
+    def verdict(self) -> str:
+        """The verdict, as `verdicts` gives it; its reason is `["reason"]`."""
+        return str(self["verdict"])
+
     def __repr__(self) -> str:
+        low, high = self.interval
         return (
-            "{name} = {value:.4g} {unit}, 95 % interval {low:.4g} to {high:.4g}, {verdict}"
-        ).format(**self)
+            f"{self['name']} = {self.value:.4g} {self.unit},"
+            f" 95 % interval {low:.4g} to {high:.4g}, {self.verdict}"
+        )
 
 
 # What a line has room for: alone, and beside a value with its errors, interval and verdict.

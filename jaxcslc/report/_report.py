@@ -173,7 +173,7 @@ class AbstractReport(abc.ABC, Generic[N]):
         )
 
     def __getitem__(self, name: str) -> CoefficientRow:
-        """Return a coefficient's value, unit, standard error, interval (low, high) and verdict.
+        """Return a coefficient's row, with `value`, `error`, `interval`, `unit` and `verdict`.
 
         **Raises** `KeyError` for a name that no coefficient has.
         """
@@ -256,6 +256,11 @@ class AbstractReport(abc.ABC, Generic[N]):
         tones = {message.tone for message in messages}
         tone: Tone = "bad" if "bad" in tones else "caution" if "caution" in tones else "good"
         return tone, messages
+
+    @property
+    def objections(self) -> tuple[str, ...]:
+        """Reasons not to rely on the model: the sentences of the verdict that are marked ✗."""
+        return tuple(message.text for message in self._judgement[1] if message.tone == "bad")
 
     @property
     def verdict(self) -> str:
@@ -411,8 +416,10 @@ class Report(AbstractReport[CSLC]):
     ['kB1', 'kB2', 'kB3', 'kv1', 'kd1']
     >>> report["kv1"]
     kv1 = 0.2 N m s/rad, 95 % interval 0.2 to 0.2, well determined
-    >>> tuple(report.errors), report["kv1"]["unit"], report.sample(64).shape
-    (('training',), 'N m s/rad', (64, 5))
+    >>> round(report["kv1"].value, 3), report["kv1"].unit, tuple(report.errors)
+    (0.2, 'N m s/rad', ('training',))
+    >>> report.sample(64).shape
+    (64, 5)
     """
 
     kinds: ClassVar[tuple[type[AbstractSection], ...]] = SECTIONS

@@ -1,5 +1,6 @@
 """`jaxcslc excite`: what it writes, what it says of earlier recordings, wrong arguments."""
 
+import csv
 import json
 import re
 from pathlib import Path
@@ -56,7 +57,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_writes_the_motion_in_five_forms(folder: Path) -> None:
     result = run("excite", folder / "arm.urdf", "-o", folder / "motion.csv", *OPTIONS)
     assert result.exit_code == 0, result.output
-    assert "predicted standard errors over sizes" in result.output
+    assert "predicted standard errors: median" in result.output
     lines = (folder / "motion.csv").read_text().splitlines()
     assert lines[0] == "time,position_hinge,velocity_hinge,acceleration_hinge"
     table = np.array([[float(x) for x in line.split(",")] for line in lines[1:]])
@@ -66,7 +67,7 @@ def test_writes_the_motion_in_five_forms(folder: Path) -> None:
     assert (folder / "motion.yaml").read_text().count("time_from_start") == 201
     assert "pendulum_motion[201][1]" in (folder / "motion.h").read_text()
     page = (folder / "motion.html").read_text()
-    assert "Predicted intervals" in page
+    assert "Predicted errors" in page
     assert "Margins" in page
     marks = re.findall(r'\bid="([^"]+)"', re.sub(r"(?s)<script.*?</script>", "", page))
     assert len(marks) == len(set(marks))  # a link to one of two would find the first
@@ -95,11 +96,24 @@ def test_says_what_more_seconds_buy(folder: Path) -> None:
     result = run(*arguments, "-o", folder / "next.csv", *OPTIONS, "--reach", "1")
     assert result.exit_code == 0, result.output
     assert "2 s more are predicted to bring" in result.output
-    assert "interval ±" in result.output
-    assert "1 % of all sizes: about" in result.output
+    assert "standard error" in result.output
+    assert "1 % (--target) takes about" in result.output
     done = run(*arguments, "-o", folder / "none.csv", *OPTIONS, "--reach", "100000")
     assert "nothing to record" in done.output
     assert not (folder / "none.csv").exists()
+
+
+def test_percentages_are_those_that_identify_has(folder: Path) -> None:
+    """Errors before the motion are the column of standard errors over values, not over sizes."""
+    arm, results = folder / "arm.urdf", folder / "results"
+    assert run("identify", arm, folder / "lazy.csv", "-o", results).exit_code == 0
+    with (results / "coefficients.csv").open() as file:
+        rows = {row["name"]: row for row in csv.DictReader(file)}
+    result = run("excite", arm, "--previous", results, "-o", folder / "next.csv", *OPTIONS)
+    gains = re.findall(r"  (\w+): standard error (\S+) % of the value, then", result.output)
+    assert len(gains) > 1
+    for name, percent in gains:
+        assert percent == f"{100 * float(rows[name]['relative_error']):.2g}", name
 
 
 def test_a_motion_for_a_payload(folder: Path) -> None:
@@ -107,7 +121,7 @@ def test_a_motion_for_a_payload(folder: Path) -> None:
     arguments = ("excite", folder / "arm.urdf", "--after", folder / "lazy.csv", *OPTIONS)
     result = run(*arguments, "-o", folder / "payload.csv", "--payload", "1.5", "--rate", "100")
     assert result.exit_code == 0, result.output
-    assert "phx: interval not determined to ±" in result.output
+    assert "phx: not determined, then " in result.output
     assert "not determined by this motion: pIxx" in result.output
     assert "pIxx: interval" not in result.output  # to ±2e+05 %, say
     assert re.search(r"torque [\d.]+ % \(hinge\)", result.output)

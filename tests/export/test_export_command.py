@@ -93,6 +93,19 @@ def test_another_geometry_is_check_error(arm: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "out.toml").exists()
 
 
+def test_a_result_not_to_rely_on_is_refused(arm: Path, tmp_path: Path) -> None:
+    """Torques of the wrong sign fit as well, and would write a robot of negative mass."""
+    network = derived(arm)
+    positive = [coefficient.name for coefficient in network.coefficients if coefficient.positive]
+    path = identification(network, tmp_path / "fit.json", model={"positive": positive})
+    document = json.loads(path.read_text())
+    path.write_text(json.dumps(document | {"k": [-value for value in document["k"]]}))
+    check_error(run(arm, path, "-o", tmp_path / "out.toml"), "not to rely on it", "--force")
+    check_error(run(arm, path, "--c", "-o", tmp_path / "out.c"), "not to rely on it", "--force")
+    assert {file.name for file in tmp_path.iterdir()} == {"arm.toml", "fit.json"}
+    assert run(arm, path, "--c", "-o", tmp_path / "out.c", "--force").exit_code == 0
+
+
 def test_an_older_file_goes_by_name(arm: Path, tmp_path: Path) -> None:
     older: dict[str, Any] = {"expressions": None, "coupled": None, "friction": None}
     path = identification(derived(arm), tmp_path / "fit.json", **older)
@@ -118,7 +131,7 @@ def test_friction_that_the_file_has_no_words_for(tmp_path: Path) -> None:
     path = identification(network, tmp_path / "fit.json")
     result = run(arm, path, "-o", tmp_path / "new" / "out.urdf")
     assert result.exit_code == 0, result.output
-    assert "the file has no entry for ko1, ko2, kcm1_2, kcv1_2, kcd1_2: left out" in result.output
+    assert "the file has no entry for ko1, ko2, kcm1_2, kcv1_2, kcd1_2: omitted" in result.output
     result = run(arm, path, "--c", "-o", tmp_path / "code" / "out.c")
     assert result.exit_code == 0, result.output
     assert "void arm_torque" in (tmp_path / "code" / "out.h").read_text()

@@ -30,6 +30,8 @@ from .._section import AbstractSection, AnyReport, counted, listed
 
 # Above this share of signs that no body has, torque or positions are likely to have the wrong one.
 _MANY_WRONG_SIGNS = 0.25
+# Coefficients with a wrong sign that the verdict names: a line's worth.
+_NAMED = 6
 # Pairs of coefficients that are listed as correlated.
 _MOST_PAIRS = 12
 _CORRELATED = 0.9
@@ -89,8 +91,9 @@ class CoefficientSection(AbstractSection):
         if wrong := kinds["wrong sign"]:
             many = wrong > _MANY_WRONG_SIGNS * signed
             names = [str(row["name"]) for row in rows if row["verdict"] == "wrong sign"]
+            shown = names if len(names) <= _NAMED else [*names[:_NAMED], "others"]
             yield Message(
-                f"{listed(names)}: negative, but positive for every physically consistent robot"
+                f"{listed(shown)}: negative, but positive for every physically consistent robot"
                 + ("; check the signs of torques and positions." if many else "."),
                 "bad" if many else "caution",
             )

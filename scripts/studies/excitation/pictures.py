@@ -41,7 +41,7 @@ def figure(rows: Sequence[dict[str, Any]], motion: Any, path: Path) -> None:
             continue
         prediction = predicted_errors(motion, part)
         right.plot(
-            100 * prediction.relative_error,
+            100 * prediction.sized_error,
             100 * np.sqrt(np.mean(errors**2, axis=0)) / prediction.size,
             marker,
             ms=4,

@@ -61,7 +61,7 @@ def seconds_of(planner: Planner, parameters: Any, wanted: Sequence[str]) -> floa
     """Seconds of a motion until the goal."""
     motion = planner.family.motion(np.asarray(parameters), planner.time)
     indices = wanted_indices(planner.problem.information.network, wanted)
-    worst = float(np.max(planner.prediction(motion).relative_error[indices]))
+    worst = float(np.max(planner.prediction(motion).sized_error[indices]))
     return planner.family.duration * (worst / GOAL) ** 2
 
 
@@ -123,7 +123,7 @@ def seconds_to_goal(seed: int, steps: int, say: Callable[[str], None]) -> dict[s
         covariance = design.prediction.covariance
         error = np.sqrt(np.diag(covariance))
         known = Knowledge(known.k, inverse_of(covariance), error, known.is_model)
-        worst.append(float(np.max(design.prediction.relative_error)))
+        worst.append(float(np.max(design.prediction.sized_error)))
         say(f"{PIECE * number:g} s: worst {100 * worst[-1]:.3g} %")
         if worst[-1] <= GOAL:
             seconds["in sequence"] = PIECE * number
