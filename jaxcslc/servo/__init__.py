@@ -9,6 +9,7 @@ Modules, in reading order:
 - `_recording`: commands and positions, sampled in time.
 - `_readers`, `_lerobot`: recordings from tables, bags and folders of data sets.
 - `_drive`: the parameters of a servo and its joint.
+- `_simulation`, `servo.c`: positions from commands; loads of one joint.
 - `_fit`: the result of a fit.
 """
 
@@ -27,10 +28,12 @@ from ._readers import (
     load_servo_recordings as load_servo_recordings,
 )
 from ._recording import ServoRecording as ServoRecording
+from ._simulation import LONGEST_STEP as LONGEST_STEP, simulate as simulate
 
 
 __all__ = [
     "DRIVE_UNITS",
+    "LONGEST_STEP",
     "TORQUES",
     "ConfoundedParameters",
     "ServoDrive",
@@ -39,4 +42,5 @@ __all__ = [
     "ServoRecording",
     "load_servo_recording",
     "load_servo_recordings",
+    "simulate",
 ]
