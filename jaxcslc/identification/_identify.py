@@ -243,9 +243,9 @@ def identify(
         - `"least-squares"`: fits smoothed motion.
         - `"maximum-likelihood"`: estimates positions too and needs no smoothing
           (`MaximumLikelihood`).
-        - `"auto"`: both. The latter is used if it predicts held-out data better by more than
-          chance: the validation recording or, without one, the last quarter of each training
-          recording. `report.estimators` compares them.
+        - `"auto"`: both. The latter is used if it predicts the last quarter of each training
+          recording better, by more than chance, when fitted to what is before it.
+          `report.estimators` compares them.
         - `"instrumental-variables"`: one recording, without physically consistent parameters and
           systematic errors (`InstrumentalVariables`). A note says whether least squares is biased.
     - `likelihood`: options of maximum likelihood; its torque sampling and settings are those of the

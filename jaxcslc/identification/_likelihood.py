@@ -1,4 +1,7 @@
-"""Maximum likelihood beside least squares, judged on motion that neither has seen."""
+"""Maximum likelihood beside least squares, judged on motion that neither has seen.
+
+That is the last part of each training recording. A validation recording only judges the result.
+"""
 
 import contextlib
 import dataclasses
@@ -50,6 +53,7 @@ from ._least_squares import Regression, with_states
 from ._problem import Problem, joined, without_lag
 
 
+_SOURCE: Source = "held-out stretch"
 # Matrices of positions times coefficients that a fit keeps at a time.
 _MATRICES = 6
 
@@ -150,7 +154,7 @@ class Likelihood(AbstractEstimator):
 
 class LikelihoodFits(NamedTuple):
     """Fits of maximum likelihood: to `whole` recordings, and to what is `before` the part of each
-    that is held out; None where none is, or where it is not computed yet."""
+    that is held out; None where it is not computed yet."""
 
     whole: LikelihoodFit
     before: LikelihoodFit | None
@@ -250,7 +254,7 @@ def _sent(request: Request, settings: Settings) -> list[Any]:
     lag = settings.preparation.torque_lag
     recordings = [without_lag(recording, lag) for recording in request.training.values()]
     whole = options.fit(request.network, recordings)
-    held_out = request.validation is None and recordings[0].samples >= FEWEST_SAMPLES
+    held_out = recordings[0].samples >= FEWEST_SAMPLES
     quiet: Callable[[str], None] = lambda words: None
     before = _fit_before(options, request.network, recordings, whole, quiet) if held_out else None
     return [_without_network(whole), _without_network(before)]
@@ -284,23 +288,23 @@ def _received(network: CSLC, result: Callable[[], list[Any]]) -> LikelihoodFits:
 class _Unfitted(NamedTuple):
     """Motion that was not fitted, and what estimators that have not seen it make of it.
 
-    - `source`: of the motion.
     - `recordings`: with torques on time; `patterns`: as the report's settings prepare them.
     - `least_squares`: its coefficients, those of possible bodies where the report has them.
     - `likelihood`: the other fit, as it is.
     - `contact`: (n,) states of dry friction that the patterns start with; None for zeros.
     """
 
-    source: Source
     recordings: Sequence[Recording]
     patterns: Patterns
     least_squares: Fit
     likelihood: LikelihoodFit
-    contact: np.ndarray | None = None
+    contact: np.ndarray
 
 
 def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
     """Whichever predicts unfitted motion better, or maximum likelihood in any case.
+
+    Nothing is chosen on the validation recording: what is chosen on it, it could not judge.
 
     - `base`: least squares.
     """
@@ -323,7 +327,7 @@ def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
         lambda: parts,
         choice=request.possible,
         prior=request.prior,
-        source=unfitted.source,
+        source=_SOURCE,
         parameters=likelihood.bodies,
         step=problem.step,
     )
@@ -344,9 +348,9 @@ def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
     return Judged(
         problem,
         ours,
-        held_out_of(problem, ours)
-        if unfitted.source == "validation"
-        else held_out_of(problem, ours, unfitted.source, error, mask),
+        held_out_of(problem, ours, _SOURCE, error, mask)
+        if problem.validation is None
+        else held_out_of(problem, ours),
         {
             "possible": bodies,
             "systematic": _systematic(likelihood.systematic, fit) if request.systematic else None,
@@ -360,21 +364,13 @@ def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
 
 
 def _unfitted(base: Judged, fits: LikelihoodFits) -> _Unfitted:
-    """Motion that was not fitted: the validation recording, or the last part of each other."""
+    """Motion that was not fitted: the last part of each training recording."""
     problem, likelihood = base.problem, fits.whole
     request = problem.request
-    if request.validation is not None:
-        recording = without_lag(request.validation, problem.lag)
-        patterns = problem.patterns["validation"]
-        fit = base.fit
-        if base.yielding is not None:
-            fit = _regression(base, problem.patterns["training"])
-        return _Unfitted("validation", [recording], patterns, fit, likelihood)
     shortest = min(recording.samples for recording in request.training.values())
     if shortest < FEWEST_SAMPLES:
         raise ValueError(
-            f"{shortest} samples are too few to hold a stretch out; expected"
-            f" {FEWEST_SAMPLES} or a validation recording"
+            f"{shortest} samples are too few to hold a stretch out; expected {FEWEST_SAMPLES}"
         )
     late: list[Recording] = []
     fitted: list[Patterns] = []
@@ -396,7 +392,6 @@ def _unfitted(base: Judged, fits: LikelihoodFits) -> _Unfitted:
         recordings = list(problem.on_time.values())
         shorter = _fit_before(options, request.network, recordings, likelihood, problem.step)
     return _Unfitted(
-        "held-out stretch",
         late,
         joined(unfitted),
         _regression(base, joined(fitted)),
@@ -528,7 +523,7 @@ def _comparison(
     }
     everything = np.ones_like(mask)
     return EstimatorComparison(
-        unfitted.source,
+        _SOURCE,
         MappingProxyType({name: _rms(values, mask) for name, values in errors.items()}),
         MappingProxyType({name: _rms(values, everything) for name, values in errors.items()}),
         relative,

@@ -22,8 +22,8 @@ class EstimatorComparison:
 
     **Attributes**
 
-    - `source`: of that motion: `"validation"`, or `"held-out stretch"`: the last part of each
-      training recording, predicted by fits to what is before it.
+    - `source`: of that motion: `"held-out stretch"`, the last part of each training recording,
+      predicted by fits to what is before it.
     - `rms`: by estimator, (n,) RMS torque error of smoothed motion over judged samples [N m or N].
     - `rms_all_samples`: the same over all samples.
     - `relative`: misfits of maximum likelihood over those of least squares, what the decision rests

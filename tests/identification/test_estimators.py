@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.bodies import Known, Prior
+from jaxcslc.identification import ESTIMATORS
 from tests import arms
 
 
@@ -49,28 +50,52 @@ QUICK: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def coarse(network: jc.CSLC) -> jc.Report:
-    return jc.identify(network, swing(network, 0), swing(network, 1), estimator="auto", **QUICK)
+    return jc.identify(network, swing(network, 2), swing(network, 1), estimator="auto", **QUICK)
+
+
+@pytest.mark.parametrize("estimator", list(ESTIMATORS))
+@pytest.mark.parametrize("friction", [None, "auto"])
+def test_nothing_is_chosen_on_the_validation_recording(
+    network: jc.CSLC, estimator: str, friction: Literal["auto"] | None
+) -> None:
+    """Not the estimator, bodies, settings or friction: another one changes no coefficient."""
+    training, validation = swing(network, 0), swing(network, 1)
+    # Of another arm, backwards, and of which little is left: it would prefer other coefficients.
+    other = jc.Recording(validation.time, validation.position[::-1], -0.1 * validation.torque)
+    possible: Any = "never" if estimator == "instrumental-variables" else "auto"
+    first, second = (
+        jc.identify(
+            *(network, training, judge),
+            estimator=estimator,
+            friction=friction,
+            possible=possible,
+            checks=False,
+            systematic=False,
+        )
+        for judge in (validation, other)
+    )
+    assert first.network.names == second.network.names
+    assert np.array_equal(first.k, second.k)
+    assert np.array_equal(first.fit.standard_error, second.fit.standard_error)
+    assert str(first.settings) == str(second.settings)
 
 
 class TestAuto:
-    def test_the_better_one_on_validation_is_used(
-        self, network: jc.CSLC, coarse: jc.Report
-    ) -> None:
+    def test_the_better_one_on_the_last_part_is_used(self, coarse: jc.Report) -> None:
         comparison = coarse.estimators
         assert comparison is not None
-        assert (comparison.source, comparison.used) == ("validation", "maximum-likelihood")
+        assert (comparison.source, comparison.used) == ("held-out stretch", "maximum-likelihood")
         assert comparison.relative.beyond_chance()
         assert_allclose(coarse.k, comparison.likelihood.k)
-        # Its errors are those that the report has of the same coefficients.
+
+    def test_the_validation_recording_judges_the_result(self, coarse: jc.Report) -> None:
+        assert coarse.held_out is not None and coarse.held_out.source == "validation"
         rms = coarse.errors["validation"].rms[0]
-        assert_allclose(rms, comparison.rms["maximum-likelihood"], rtol=1e-9)
-        before = jc.identify(network, swing(network, 0), swing(network, 1), **QUICK)
-        rms = before.errors["validation"].rms[0]
-        assert_allclose(rms, comparison.rms["least-squares"], rtol=1e-9)
+        assert_allclose(rms, coarse.held_out.held_out, rtol=1e-9)
 
     def test_it_says_so(self, coarse: jc.Report, tmp_path: Path) -> None:
         text = str(coarse)
-        assert "estimators, validation RMS" in text
+        assert "estimators, held-out stretch RMS" in text
         assert "coefficients used: maximum-likelihood" in text
         assert any("recorded velocities are not used" in note for note in coarse.notes)
         coarse.save(tmp_path, pictures=False)
