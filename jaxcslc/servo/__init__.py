@@ -10,6 +10,7 @@ Modules, in reading order:
 - `_readers`, `_lerobot`: recordings from tables, bags and folders of data sets.
 - `_drive`: the parameters of a servo and its joint.
 - `_simulation`, `servo.c`: positions from commands; loads of one joint.
+- `_mjcf`: MuJoCo models of an arm of servos, and replay of commands in them.
 - `_fit`: the result of a fit.
 """
 
@@ -22,6 +23,11 @@ from ._fit import (
     ConfoundedParameters as ConfoundedParameters,
     ServoFit as ServoFit,
     ServoParameter as ServoParameter,
+)
+from ._mjcf import (
+    WrittenServoArm as WrittenServoArm,
+    replay_in_mujoco as replay_in_mujoco,
+    write_servo_mjcf as write_servo_mjcf,
 )
 from ._readers import (
     load_servo_recording as load_servo_recording,
@@ -40,7 +46,10 @@ __all__ = [
     "ServoFit",
     "ServoParameter",
     "ServoRecording",
+    "WrittenServoArm",
     "load_servo_recording",
     "load_servo_recordings",
+    "replay_in_mujoco",
     "simulate",
+    "write_servo_mjcf",
 ]
