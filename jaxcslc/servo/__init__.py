@@ -11,6 +11,7 @@ Modules, in reading order:
 - `_drive`: the parameters of a servo and its joint.
 - `_simulation`, `servo.c`: positions from commands; loads of one joint.
 - `_mjcf`: MuJoCo models of an arm of servos, and replay of commands in them.
+- `_feedforward`: commands for a wanted motion, in C.
 - `_fit`: the result of a fit.
 """
 
@@ -19,6 +20,7 @@ from ._drive import (
     TORQUES as TORQUES,
     ServoDrive as ServoDrive,
 )
+from ._feedforward import servo_feedforward as servo_feedforward
 from ._fit import (
     ConfoundedParameters as ConfoundedParameters,
     ServoFit as ServoFit,
@@ -50,6 +52,7 @@ __all__ = [
     "load_servo_recording",
     "load_servo_recordings",
     "replay_in_mujoco",
+    "servo_feedforward",
     "simulate",
     "write_servo_mjcf",
 ]

@@ -20,31 +20,6 @@ GRAVITY = 9.81
 SIMULATION, FINE = 3e-3, 4e-4
 STEP = 1e-4
 
-ARM = """<?xml version="1.0"?>
-<robot name="arm">
-  <link name="base"/>
-  <link name="upper"><inertial>
-    <origin xyz="0.1 0.02 0"/><mass value="0.3"/>
-    <inertia ixx="1e-4" iyy="8e-4" izz="9e-4" ixy="0" ixz="0" iyz="0"/></inertial>
-    <visual><geometry><mesh filename="package://nowhere/upper.stl"/></geometry></visual></link>
-  <link name="lower"><inertial>
-    <origin xyz="0.08 0 0.01"/><mass value="0.2"/>
-    <inertia ixx="1e-4" iyy="4e-4" izz="4e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
-    <axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="0" velocity="9"/></joint>
-  <joint name="elbow" type="revolute"><parent link="upper"/><child link="lower"/>
-    <origin xyz="0.2 0 0"/><axis xyz="0 1 0"/>
-    <limit lower="-3" upper="3" effort="0" velocity="9"/></joint>
-</robot>
-"""
-
-
-@pytest.fixture
-def arm(tmp_path: Path) -> jc.Manipulator:
-    path = tmp_path / "arm.urdf"
-    path.write_text(ARM)
-    return jc.load_robot(path)
-
 
 def commands(joints: int) -> ServoRecording:
     """Steps and sines at 50 Hz for 3 s, from a pose that is held at first."""
@@ -106,18 +81,16 @@ def test_an_arm_without_coulomb_friction(arm: jc.Manipulator, tmp_path: Path) ->
     np.testing.assert_allclose(replay_in_mujoco(fine, recording), oracle, atol=FINE)
 
 
-def test_a_joint_that_sticks(tmp_path: Path) -> None:
+def test_a_joint_that_sticks(arm_file: Path, tmp_path: Path) -> None:
     """Coulomb friction holds the joint: MuJoCo's constraint must not creep."""
-    (tmp_path / "arm.urdf").write_text(ARM)
-    arm = jc.load_robot(tmp_path / "arm.urdf", fix=["elbow"])
+    arm = jc.load_robot(arm_file, fix=["elbow"])
     drive = ServoDrive(10.0, 0.3, delay=0.03, armature=0.02, coulomb=0.4)
     written = write_servo_mjcf(arm, [drive], tmp_path / "servo.xml")
     recording = commands(1)
     rest = recording.command[0, 0] * np.ones((150, 1))
+    moving, fixed = 'name="elbow" type="revolute"', 'name="elbow" type="fixed"'
+    (tmp_path / "one.urdf").write_text(arm_file.read_text().replace(moving, fixed))
     for motion in (recording, ServoRecording(recording.time, rest, rest + 0.03)):
-        (tmp_path / "one.urdf").write_text(
-            ARM.replace('name="elbow" type="revolute"', 'name="elbow" type="fixed"')
-        )
         oracle = simulated(tmp_path / "one.urdf", [drive], motion)
         replayed = replay_in_mujoco(written.path, motion)
         np.testing.assert_allclose(replayed, oracle, atol=SIMULATION)
