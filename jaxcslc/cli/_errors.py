@@ -6,6 +6,7 @@ import sys
 from collections.abc import Generator, Mapping
 from types import TracebackType
 
+from .._safe_text import printable
 from ._help import page_address
 from ._options import UsageError
 
@@ -60,7 +61,7 @@ def one_line_errors(name: str = "", page: str = "command") -> Generator[list[int
             where = " ".join(["jaxcslc", *([name] if name else []), "--help"])
         else:
             where = page_address(_page_of(error.__traceback__) or page)
-        print(f"jaxcslc: {message} ({where})", file=sys.stderr)
+        print(printable(f"jaxcslc: {message} ({where})"), file=sys.stderr)
         status.append(2)
 
 

@@ -25,7 +25,7 @@ from ..manipulator import Manipulator
 from ..network import CSLC
 from ..recordings import Sampling
 from ..report import load_report
-from ._common import Context, Output, command, names_in
+from ._common import Context, Output, OverwriteOption, command, names_in
 from ._inputs import (
     ColumnsOption,
     Drives,
@@ -58,6 +58,7 @@ class MotionOptions:
             help="CSV file of the motion; .yaml, .json, .h and .html go next to it.",
         ),
     ] = Path("motion.csv")
+    overwrite: OverwriteOption = False
     duration: Annotated[float, option(metavar="SECONDS", help="Length of the motion.")] = 10.0
     limits: LimitsOption = None
     previous: Annotated[
@@ -255,7 +256,7 @@ def excite_command(
         folder = options.output.parent
         if not folder.is_dir():
             raise ValueError(f"{folder}: no such folder")
-        context.check_output(folder, design_files(options.output))
+        context.check_output(design_files(options.output))
         arm = part.read(robot)
         before = _before(arm, options, columns, lambda: drives.network(arm, lengths), step)
         names = None if options.parameters is None else names_in(options.parameters)

@@ -4,9 +4,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated
 
-from ..export import CCode, c_code, export_robot, write_c
+from ..export import CCode, c_code, export_robot, motor_file, write_c
 from ..report import Report, load_report
-from ._common import Context, Output, command
+from ._common import Context, Output, OverwriteOption, command
 from ._inputs import BUNDLED, RobotArgument, RobotPart, with_notes
 from ._options import argument, option
 
@@ -43,7 +43,7 @@ def export_command(
             " motor_inertia in TOML, armature in MJCF, in NAME.motors.toml next to a URDF.",
         ),
     ] = True,
-    overwrite: Annotated[bool, option(help="Let the output be the robot's own file.")] = False,
+    overwrite: OverwriteOption = False,
     force: Annotated[
         bool, option(help="Export a result whose verdict is not to rely on it.")
     ] = False,
@@ -57,12 +57,16 @@ def export_command(
     C code has the identified coefficients as they are, and the states of pre-sliding friction where
     identify used them.
     """
+    del overwrite
     with context.progress("reading") as step:
         bundled = files("jaxcslc.manipulator") / "robots" / f"{robot}.toml"
         file = Path(str(bundled)) if robot in BUNDLED else Path(robot)
         path = Path(f"{file.stem}_identified{file.suffix}") if output is None else output
-        if not c and not overwrite and path.exists() and file.exists() and path.samefile(file):
-            raise ValueError(f"{path}: is the robot's own file; expected another, or --overwrite")
+        written = [path, motor_file(path)]
+        if c:
+            written = [] if output is None else [output, output.with_suffix(".h")]
+        if written:
+            context.check_output(written, read=[file])
         saved = load_report(identification, part.read(str(file)))
         if (objections := saved.objections) and not force:
             raise ValueError(
@@ -72,6 +76,8 @@ def export_command(
         if c:
             step("writing C")
             code, note = _c_code(saved)
+            if output is None:
+                context.check_output([Path(f"{code.name}{suffix}") for suffix in (".c", ".h")])
             written = write_c(code, output)
             counts = ", ".join(f"{name} {count}" for name, count in code.operations.items())
             text, paths = f"operations: {counts}{note}", written
