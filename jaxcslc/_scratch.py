@@ -22,6 +22,7 @@ import tempfile
 from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import current_thread, main_thread
 from typing import Any
 
 
@@ -109,14 +110,15 @@ def all_or_nothing(folder: Path, *, earlier: Iterable[str] = ()) -> Generator[Pa
     remove_left_behind(folder.parent, folder.name)
     remove_left_behind(folder)
     parent = folder.parent if not folder.exists() or _can_be_exchanged(folder) else folder
-    with _scratch_folder(parent, folder.name) as scratch:
+    with scratch_folder(parent, folder.name) as scratch:
         whole = scratch / folder.name
         whole.mkdir()
         yield whole
         listed, digests = _listed(folder), _digests(whole)
         gone = {name for name in earlier if _is_unchanged(folder / name, listed)} - {*digests}
         kept = {name: listed[name] for name in listed if name not in gone}
-        _write_marker(whole, kept | digests)
+        if kept or digests:
+            _write_marker(whole, kept | digests)
         _uninterrupted(_publish, whole, folder, gone)
 
 
@@ -133,7 +135,7 @@ def all_together(paths: Sequence[Path]) -> Generator[list[Path]]:
     """
     folder, names = paths[0].parent, [path.name for path in paths]
     remove_left_behind(folder, names[0])
-    with _scratch_folder(folder, names[0]) as scratch:
+    with scratch_folder(folder, names[0]) as scratch:
         yield [scratch / name for name in names]
         digests = _digests(scratch)
         _write_marker(scratch, _listed(folder) | digests)
@@ -154,7 +156,7 @@ def unfinished(path: Path, *, clean: bool = True) -> Generator[Path]:
     """
     if clean:
         remove_left_behind(path.parent, path.name)
-    with _scratch_folder(path.parent, path.name) as scratch:
+    with scratch_folder(path.parent, path.name) as scratch:
         yield scratch / path.name
         os.replace(scratch / path.name, path)
 
@@ -173,6 +175,26 @@ def hidden_beside(path: Path) -> Generator[Path]:
             yield Path(name)
         finally:
             Path(name).unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def scratch_folder(parent: Path, name: str) -> Generator[Path]:
+    """Make a hidden folder in `parent` for what is to become `name`; removed at the end."""
+    while True:
+        try:
+            scratch = Path(tempfile.mkdtemp(prefix=f".{name}-", suffix=_SUFFIX, dir=parent))
+        except OSError as error:  # of a name that nobody knows
+            error.filename = str(parent / name)
+            raise
+        with _held(scratch, wait=True):
+            # Before it was locked, another process could take it for left behind.
+            if not scratch.exists():
+                continue
+            try:
+                yield scratch
+            finally:
+                _uninterrupted(shutil.rmtree, scratch, True)
+            return
 
 
 def remove_left_behind(parent: Path, name: str | None = None, suffix: str = "") -> None:
@@ -243,7 +265,7 @@ def _publish(whole: Path, folder: Path, gone: Collection[str]) -> None:
 
 def _copy(whole: Path, folder: Path, written: Iterable[str], gone: Iterable[str]) -> None:
     """Replace files of a folder, which may be on another disk, by copies."""
-    with _scratch_folder(folder, folder.name) as scratch:  # perhaps another disk
+    with scratch_folder(folder, folder.name) as scratch:  # perhaps another disk
         for name in written:
             shutil.copyfile(whole / name, scratch / name)
         _replace(scratch, folder, written, gone)
@@ -326,28 +348,11 @@ def _replace(whole: Path, folder: Path, names: Iterable[str], gone: Iterable[str
 
 def _uninterrupted(function: Callable[..., None], *arguments: Any) -> None:
     """Call a function that Ctrl-C does not interrupt: it reaches the main thread afterwards."""
+    if current_thread() is not main_thread():
+        function(*arguments)
+        return
     with ThreadPoolExecutor(1) as pool:
         pool.submit(function, *arguments).result()
-
-
-@contextlib.contextmanager
-def _scratch_folder(parent: Path, name: str) -> Generator[Path]:
-    """Make a hidden folder in `parent` for what is to become `name`; removed at the end."""
-    while True:
-        try:
-            scratch = Path(tempfile.mkdtemp(prefix=f".{name}-", suffix=_SUFFIX, dir=parent))
-        except OSError as error:  # of a name that nobody knows
-            error.filename = str(parent / name)
-            raise
-        with _held(scratch, wait=True):
-            # Before it was locked, another process could take it for left behind.
-            if not scratch.exists():
-                continue
-            try:
-                yield scratch
-            finally:
-                _uninterrupted(shutil.rmtree, scratch, True)
-            return
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from typing import Annotated, Any, get_type_hints
 
 from .._safe_text import printable
 from .._scratch import check_output_folder, check_replaceable
-from ._errors import one_line_errors
+from ._errors import one_line_errors, show
 from ._help import ALL, help_text
 from ._options import Parameter, UsageError, Values, assign, option, parameters_of, parse
 from ._project import FILE, Project
@@ -83,10 +83,10 @@ class Output:
             from .._plain_data import plain
 
             document = {"files": [str(path) for path in self.files], **self.data()}
-            print(printable(json.dumps(plain(document), indent=2, ensure_ascii=False)))
+            show(json.dumps(plain(document), indent=2, ensure_ascii=False))
         elif not options.quiet:
             parts = [self.text, *([wrote(self.files)] if self.files else [])]
-            print(printable("\n\n".join(parts)))
+            show("\n\n".join(parts))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -144,10 +144,7 @@ class Context:
             with console.status(Text(printable(first))) as status:
                 yield lambda text: status.update(Text(printable(text)))
         else:
-            write: Callable[[str], None] = lambda line: print(
-                printable(line), file=sys.stderr, flush=True
-            )
-            with progress_lines(first, write, passed=PASSED if estimated else {}) as step:
+            with progress_lines(first, _write, passed=PASSED if estimated else {}) as step:
                 yield step
 
     def check_no_robot_options(self, name: str) -> None:
@@ -231,12 +228,12 @@ class Command:
         """Run the command, print what comes of it, and return the status of the process."""
         with one_line_errors(self.name, self.page) as status:
             if (group := asked_group(words)) is not None:
-                print(self.help(group))
+                show(self.help(group))
                 return 0
             context = self.context(words)
             output = self.function(context, **self._arguments(context.values))
             if context.project and not (context.output.json or context.output.quiet):
-                print(printable(f"{FILE} makes this: {context.text()}\n"))
+                show(f"{FILE} makes this: {context.text()}\n")
             output.print(context.output)
             return output.status
         return status[0]
@@ -356,6 +353,11 @@ def progress_lines(
     finally:
         done.set()
         thread.join()
+
+
+def _write(line: str) -> None:
+    with contextlib.suppress(OSError):  # nobody reads it: no reason to stop
+        print(printable(line), file=sys.stderr, flush=True)
 
 
 def names_in(text: str) -> list[str]:

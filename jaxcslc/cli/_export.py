@@ -62,11 +62,10 @@ def export_command(
         bundled = files("jaxcslc.manipulator") / "robots" / f"{robot}.toml"
         file = Path(str(bundled)) if robot in BUNDLED else Path(robot)
         path = Path(f"{file.stem}_identified{file.suffix}") if output is None else output
-        written = [path, motor_file(path)]
-        if c:
-            written = [] if output is None else [output, output.with_suffix(".h")]
-        if written:
-            context.check_output(written, read=[file])
+        if not c:
+            context.check_output([path, motor_file(path)], read=[file])
+        elif output is not None:
+            context.check_output([output, output.with_suffix(".h")], read=[file])
         saved = load_report(identification, part.read(str(file)))
         if (objections := saved.objections) and not force:
             raise ValueError(
@@ -78,10 +77,9 @@ def export_command(
             code, note = _c_code(saved)
             if output is None:
                 context.check_output([Path(f"{code.name}{suffix}") for suffix in (".c", ".h")])
-            written = write_c(code, output)
+            paths = write_c(code, output)
             counts = ", ".join(f"{name} {count}" for name, count in code.operations.items())
-            text, paths = f"operations: {counts}{note}", written
-            data = {"operations": code.operations}
+            text, data = f"operations: {counts}{note}", {"operations": code.operations}
         else:
             exported = export_robot(
                 saved.network,
