@@ -67,11 +67,8 @@ def export_command(
         elif output is not None:
             context.check_output([output, output.with_suffix(".h")], read=[file])
         saved = load_report(identification, part.read(str(file)))
-        if (objections := saved.objections) and not force:
-            raise ValueError(
-                f"{identification}: its verdict is not to rely on it: {objections[0]} Expected a"
-                " result without ✗, or --force"
-            )
+        if not force:
+            _check_verdict(saved, identification)
         if c:
             step("writing C")
             code, note = _c_code(saved)
@@ -93,6 +90,15 @@ def export_command(
             text = str(exported) + _pre_sliding(saved, "is omitted: Coulomb friction is a step")
             data, paths = {"files": [str(path)], "warnings": exported.warnings}, ()
     return Output(with_notes(text, saved.network.robot), lambda: data, paths)
+
+
+def _check_verdict(saved: Report, identification: Path) -> None:
+    """**Raises** `ValueError` for a result that is not to be relied on."""
+    if objections := saved.objections:
+        raise ValueError(
+            f"{identification}: its verdict is not to rely on it: {objections[0]} Expected a"
+            " result without ✗, or --force"
+        )
 
 
 def _c_code(saved: Report) -> tuple[CCode, str]:
