@@ -4,7 +4,7 @@ The file is the robot's, with the drives of a fit; read with `_drive` and `_reco
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from .._scratch import unfinished
 from ..manipulator import Manipulator, RobotError, mujoco_spec
 from ._drive import ServoDrive
 from ._recording import ServoRecording
+from ._simulation import inverse_dynamics, simulate
 
 
 TIMESTEP = 0.001
@@ -28,6 +29,9 @@ TIMESTEP = 0.001
 _IMPEDANCE = 0.9999
 # Smallest time constant of constraints that MuJoCo allows, in time steps (`refsafe`).
 _STIFFEST = 2.0
+# Parts of the largest plausible friction that are tried for what MuJoCo has not.
+_PARTS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3)
+_MATCHED = 40.0  # s of a recording, over which they are compared
 _RADIUS = 0.008  # of the rods that show links, with which nothing collides [m]
 
 
@@ -71,16 +75,19 @@ def write_servo_mjcf(
     | offset | `ref` of the joint |
     | ends of travel | `range` of the joint |
 
-    MuJoCo has no dead zone of servos and no friction that depends on load: both are added to
-    `frictionloss`, the latter at the mean load of `recordings`. Static friction above Coulomb
-    friction, play, and a speed limit are left out. `approximations` says so where it applies.
+    MuJoCo has no dead zone of servos, no static friction above Coulomb friction, and no friction
+    that depends on load. For them, `frictionloss` is larger than Coulomb friction: by as much as
+    moves the model most nearly as `simulate` does under the commands of `recordings`. Without
+    recordings it is Coulomb friction. Play and a speed limit are left out. `approximations` says
+    so where it applies.
 
     **Arguments**
 
     - `robot`: read from a URDF or MJCF file. Its meshes are not in the model.
     - `drives`: one per joint of the robot.
     - `path`: of the file to write, ending in `.xml`.
-    - `recordings`: recordings of the arm; ranges of joints include their positions.
+    - `recordings`: recordings of the arm; ranges of joints include their positions. Of the first,
+      40 s are simulated.
 
     **Returns** the file, and what is approximated in it.
 
@@ -112,15 +119,11 @@ def write_servo_mjcf(
     joints = [next(j for j in spec.joints if j.name == name) for name in robot.source.joints]
     for joint, drive in zip(joints, drives, strict=True):
         joint.ref = float(joint.ref) + drive.offset
-    loads = _mean_loads(mujoco, spec, robot.source.joints, recordings)
     limits = robot.source.limits
-    approximations: list[str] = []
     for j, (joint, drive) in enumerate(zip(joints, drives, strict=True)):
         joint.armature = drive.armature
         _set_linear(joint, "damping", drive.viscous)
-        joint.frictionloss = (
-            drive.coulomb + drive.gain * drive.dead_zone + drive.load_friction * loads[j]
-        )
+        joint.frictionloss = drive.coulomb
         joint.solref_friction[:] = _STIFFEST * TIMESTEP, 1.0
         joint.solimp_friction[:] = _IMPEDANCE, _IMPEDANCE, 1e-3, 0.5, 2.0
         low, high = drive.low, drive.high
@@ -138,22 +141,20 @@ def write_servo_mjcf(
             joint.solref_limit[:] = _STIFFEST * TIMESTEP, 1.0
             joint.solimp_limit[:] = 0.99, _IMPEDANCE, 1e-3, 0.5, 2.0
         joint.actfrclimited = False  # the drive's limit is the servo's
-        approximations += _approximations(joint.name, drive, recordings)
     _show(mujoco, spec)
     try:
-        spec.compile()
-        text = spec.to_xml()
-        # Written as text: MuJoCo would write the general form of servos, which is hard to read.
-        head, end, tail = text.rpartition("</mujoco>")
-        servos = "".join(map(_servo_element, robot.source.joints, drives))
-        text = f"{head}\n  <actuator>\n{servos}  </actuator>\n{end}{tail}"
-        mujoco.MjSpec.from_string(text).compile()
+        text = _text(spec, robot.source.joints, drives)
+        extra = _extra_friction(mujoco, text, robot, drives, recordings)
+        for joint, more in zip(joints, extra.tolist(), strict=True):
+            joint.frictionloss = float(joint.frictionloss) + more
+        text = _text(spec, robot.source.joints, drives)
     except ValueError as error:
         raise RobotError(f"{path}: {' '.join(str(error).split())}") from None
     path.parent.mkdir(parents=True, exist_ok=True)
     with unfinished(path) as file:
         file.write_text(text, encoding="utf-8")
-    return WrittenServoArm(path, tuple(approximations))
+    approximations = _approximations(robot.source.joints, drives, bool(recordings))
+    return WrittenServoArm(path, approximations)
 
 
 def replay_in_mujoco(
@@ -180,6 +181,12 @@ def replay_in_mujoco(
         raise RobotError(f"{path}: {' '.join(str(error).split())}") from None
     if model.nu != recording.joints:
         raise RobotError(f"{path}: {model.nu} servos; the recording has {recording.joints} joints")
+    return _replayed(mujoco, model, recording)
+
+
+def _replayed(
+    mujoco: Any, model: Any, recording: ServoRecording
+) -> Float[np.ndarray, "samples joints"]:
     data = mujoco.MjData(model)
     addresses = [int(model.jnt_qposadr[model.actuator_trnid[i, 0]]) for i in range(model.nu)]
     data.qpos[addresses] = recording.position[0]
@@ -230,48 +237,70 @@ def _servo_element(joint: str, drive: ServoDrive) -> str:
     return f"    <{element} {' '.join(written)}/>\n"
 
 
-def _mean_loads(
-    mujoco: Any, spec: Any, names: Sequence[str], recordings: Sequence[ServoRecording]
+def _text(spec: Any, joints: Sequence[str], drives: Sequence[ServoDrive]) -> str:
+    """Return the MJCF of a model with its servos.
+
+    They are written as text: MuJoCo would write their general form, which is hard to read.
+    """
+    spec.compile()
+    head, end, tail = spec.to_xml().rpartition("</mujoco>")
+    servos = "".join(map(_servo_element, joints, drives))
+    return f"{head}\n  <actuator>\n{servos}  </actuator>\n{end}{tail}"
+
+
+def _extra_friction(
+    mujoco: Any,
+    text: str,
+    robot: Manipulator,
+    drives: Sequence[ServoDrive],
+    recordings: Sequence[ServoRecording],
 ) -> Float[np.ndarray, " joints"]:
-    """Return the mean magnitude of each joint's torque against gravity over the positions."""
-    total, count = np.zeros(len(names)), 0
-    if recordings:
-        model = spec.copy().compile()
-        data = mujoco.MjData(model)
-        joints = [model.joint(name) for name in names]
-        places = [int(joint.qposadr[0]) for joint in joints]
-        dofs = [int(joint.dofadr[0]) for joint in joints]
-        for recording in recordings:
-            for position in recording.position:
-                data.qpos[places] = position
-                mujoco.mj_forward(model, data)
-                total += np.abs(data.qfrc_bias[dofs])
-                count += 1
-    return total / max(count, 1)
+    """Return the friction that stands for what MuJoCo has not, joint by joint.
+
+    All joints try the same part of their largest plausible value at a time: coupling between
+    joints hardly changes which part suits one best.
+    """
+    plausible = np.array([d.static + d.gain * d.dead_zone for d in drives])
+    loaded = np.array([d.load_friction for d in drives])
+    extra = np.zeros(len(drives))
+    if not recordings or not np.any(plausible + loaded):
+        return extra
+    recording = recordings[0].between(0.0, _MATCHED)
+    if np.any(loaded):
+        q = recording.position - [d.offset for d in drives]
+        gravity, _ = inverse_dynamics(robot, q, np.zeros_like(q), np.zeros_like(q))
+        plausible = plausible + loaded * np.mean(np.abs(gravity), axis=0)
+    goal = simulate(robot, drives, recording.time, recording.command, recording.position[0])
+    model = mujoco.MjModel.from_xml_string(text)
+    dofs = [int(model.jnt_dofadr[model.actuator_trnid[i, 0]]) for i in range(model.nu)]
+    coulomb = model.dof_frictionloss[dofs].copy()
+    errors: list[np.ndarray] = []
+    for part in _PARTS:
+        model.dof_frictionloss[dofs] = coulomb + part * plausible
+        replayed = _replayed(mujoco, model, recording)
+        errors.append(np.mean((replayed - goal) ** 2, axis=0))
+    return np.array(_PARTS)[np.argmin(errors, axis=0)] * plausible
 
 
 def _approximations(
-    joint: str, drive: ServoDrive, recordings: Sequence[ServoRecording]
-) -> list[str]:
-    """Return what MuJoCo has not as the drive has it."""
-    found: list[str] = []
-    if drive.dead_zone:
-        torque = drive.gain * drive.dead_zone
-        found.append(
-            f"a dead zone of {drive.dead_zone:.3g} rad is {torque:.3g} N m of frictionloss"
-        )
-    if drive.load_friction:
-        at = "the mean load of the recordings" if recordings else "no load"
-        found.append(f"friction by load is a constant frictionloss, that of {at}")
-    lacking = {
-        "static friction": drive.static,
-        "play of the gear": drive.play,
-        "the command's derivative": drive.lead * drive.damping,
-        "the speed limit": math.isfinite(drive.speed_limit),
+    joints: Sequence[str], drives: Sequence[ServoDrive], has_recordings: bool
+) -> tuple[str, ...]:
+    """Return what MuJoCo has not as the drives have it, and of which joints."""
+    instead = "a larger frictionloss stands for it" if has_recordings else "left out"
+    kinds: dict[str, Callable[[ServoDrive], bool]] = {
+        f"dead zone: {instead}": lambda drive: drive.dead_zone > 0.0,
+        f"static friction: {instead}": lambda drive: drive.static > 0.0,
+        f"friction by load: {instead}": lambda drive: drive.load_friction > 0.0,
+        "play of the gear: left out": lambda drive: drive.play > 0.0,
+        "the command's derivative: left out": lambda drive: drive.lead * drive.damping > 0.0,
+        "speed limit: left out": lambda drive: math.isfinite(drive.speed_limit),
     }
-    if left_out := [name for name, value in lacking.items() if value]:
-        found.append(f"{', '.join(left_out)}: left out")
-    return [f"{joint}: {sentence}" for sentence in found]
+    found: list[str] = []
+    for sentence, applies in kinds.items():
+        names = [name for name, drive in zip(joints, drives, strict=True) if applies(drive)]
+        if names:
+            found.append(f"{sentence} ({', '.join(names)})")
+    return tuple(found)
 
 
 def _show(mujoco: Any, spec: Any) -> None:

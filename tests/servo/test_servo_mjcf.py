@@ -11,7 +11,7 @@ import pytest
 
 import jaxcslc as jc
 from jaxcslc.manipulator import RobotError
-from jaxcslc.servo import ServoDrive, ServoRecording, replay_in_mujoco, write_servo_mjcf
+from jaxcslc.servo import ServoDrive, ServoRecording, replay_in_mujoco, simulate, write_servo_mjcf
 
 
 GRAVITY = 9.81
@@ -128,25 +128,38 @@ def test_ends_of_travel_are_readings(arm: jc.Manipulator, tmp_path: Path) -> Non
     np.testing.assert_allclose(replay_in_mujoco(wide.path, recording)[-1], 0.6, atol=2 * SIMULATION)
 
 
-def test_what_mujoco_lacks_is_said(arm: jc.Manipulator, tmp_path: Path) -> None:
-    """A dead zone is frictionloss; load friction is that of the mean load, by Pinocchio."""
-    drive = ServoDrive(
-        10.0, 1.0, coulomb=0.1, dead_zone=0.01, load_friction=0.2, static=0.05, play=0.01
-    )
+@pytest.mark.parametrize(
+    "more", [{"dead_zone": 0.01}, {"static": 0.1, "stribeck": 0.05}, {"load_friction": 0.3}]
+)
+def test_frictionloss_stands_for_what_mujoco_lacks(
+    arm: jc.Manipulator, tmp_path: Path, more: dict[str, float]
+) -> None:
+    """With it, MuJoCo is nearer to a simulation that has all, under commands of other motion."""
+    drive = ServoDrive(10.0, 0.5, armature=0.02, coulomb=0.1, delay=0.02, **more)
     recording = commands(2)
-    written = write_servo_mjcf(arm, [drive, drive], tmp_path / "servos.xml", recordings=[recording])
-    model = mujoco.MjModel.from_xml_path(str(written.path))
-    oracle = pinocchio.buildModelFromUrdf(str(tmp_path / "arm.urdf"))
-    data = oracle.createData()
-    loads = [
-        np.abs(pinocchio.computeGeneralizedGravity(oracle, data, q)) for q in recording.position
-    ]
-    expected = 0.1 + 10.0 * 0.01 + 0.2 * np.mean(loads, axis=0)
-    np.testing.assert_allclose(
-        model.dof_frictionloss, expected, rtol=1e-5
-    )  # six digits in the file
-    assert len(written.approximations) == 6
-    assert "elbow: static friction, play of the gear: left out" in written.approximations
+    time = recording.time
+    other = ServoRecording(time, 0.0 * recording.command, 0.3 * np.sin(2.0 * recording.command))
+    differences = []
+    for recordings in ((), (recording,)):
+        path = tmp_path / "servos.xml"
+        written = write_servo_mjcf(arm, [drive, drive], path, recordings=recordings)
+        goal = simulate(arm, [drive, drive], time, other.command, other.position[0])
+        difference = replay_in_mujoco(path, other) - goal
+        differences.append(np.sqrt(np.mean(difference**2)))
+        assert len(written.approximations) == 1
+        model = mujoco.MjModel.from_xml_path(str(path))
+        assert np.all(model.dof_frictionloss > 0.1) == bool(recordings)
+    assert differences[1] < 0.9 * differences[0]
+
+
+def test_what_is_left_out_is_said(arm: jc.Manipulator, tmp_path: Path) -> None:
+    drive = ServoDrive(10.0, 1.0, armature=0.02, static=0.05, play=0.01, speed_limit=5.0)
+    written = write_servo_mjcf(arm, [drive, drive], tmp_path / "servos.xml")
+    assert written.approximations == (
+        "static friction: left out (shoulder, elbow)",
+        "play of the gear: left out (shoulder, elbow)",
+        "speed limit: left out (shoulder, elbow)",
+    )
 
 
 def test_masses_and_geometry(arm: jc.Manipulator, tmp_path: Path) -> None:
