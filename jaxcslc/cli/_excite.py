@@ -59,7 +59,9 @@ class MotionOptions:
         ),
     ] = Path("motion.csv")
     overwrite: OverwriteOption = False
-    duration: Annotated[float, option(metavar="SECONDS", help="Length of the motion.")] = 10.0
+    duration: Annotated[
+        float, option(metavar="SECONDS", above=0.0, help="Length of the motion.")
+    ] = 10.0
     limits: LimitsOption = None
     previous: Annotated[
         Path | None,
@@ -90,6 +92,7 @@ class MotionOptions:
         option(
             group="goal",
             metavar="KG",
+            least=0,
             help="Design for identifying a payload of about this mass at the last link. Parameters"
             " of the arm from --previous count as known.",
         ),
@@ -101,6 +104,7 @@ class MotionOptions:
             "--reach",
             group="goal",
             metavar="PERCENT",
+            above=0.0,
             help="Target standard error, of the value or, if that is larger, of what makes 1 % of a"
             " joint's torque. Does nothing if it is already met.",
         ),
@@ -136,6 +140,7 @@ class MotionOptions:
         option(
             group="motion",
             metavar="HZ",
+            above=0.0,
             help="Samples per second of motion and recording. By default that of --previous, or"
             " 500.",
         ),
@@ -205,10 +210,9 @@ class MotionOptions:
     ] = None
 
     def __post_init__(self) -> None:
-        self.stated_noise()
+        noise: dict[str, Any] = {"torque": 1.0, **self.stated_noise()}
+        Noise(**noise)  # raises what is wrong with it
         self.start_pose()
-        if self.target is not None and not self.target > 0.0:
-            raise UsageError(f"--target: expected more than 0 %, got {self.target:g}")
         if self.previous is not None and self.recorded:
             raise UsageError("--previous and --recorded: expected one of them")
 

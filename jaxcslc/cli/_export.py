@@ -8,7 +8,7 @@ from ..export import CCode, c_code, export_robot, motor_file, write_c
 from ..report import Report, load_report
 from ._common import Context, Output, OverwriteOption, command
 from ._inputs import BUNDLED, RobotArgument, RobotPart, with_notes
-from ._options import argument, option
+from ._options import UsageError, argument, option
 
 
 @command(
@@ -62,6 +62,9 @@ def export_command(
         bundled = files("jaxcslc.manipulator") / "robots" / f"{robot}.toml"
         file = Path(str(bundled)) if robot in BUNDLED else Path(robot)
         path = Path(f"{file.stem}_identified{file.suffix}") if output is None else output
+        suffix = ".c" if c else file.suffix.lower()
+        if output is not None and output.suffix.lower() != suffix:
+            raise UsageError(f"{output}: expected a name ending in {suffix}")
         if not c:
             context.check_output([path, motor_file(path)], read=[file])
         elif output is not None:

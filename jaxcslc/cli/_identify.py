@@ -13,7 +13,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from .._environment import require
 from .._processes import processes_beside
 from ..bodies import load_prior
-from ..identification import identify
+from ..identification import (
+    BODIES,
+    ESTIMATORS,
+    LIKELIHOOD,
+    OFFSETS,
+    PREVIOUS,
+    SEVERAL,
+    identify,
+)
 from ..least_squares import fit_fleet_on_cluster, fit_on_cluster
 from ..likelihood import MaximumLikelihood
 from ..manipulator import Manipulator
@@ -118,6 +126,7 @@ class IdentifyOptions:
         option(
             group="estimator",
             metavar="GB",
+            above=0.0,
             help="Memory budget. For longer recordings, settings are chosen on a part, which the"
             " report names.",
         ),
@@ -185,6 +194,16 @@ class IdentifyOptions:
             )
         if self.fleet and self.dask is None:
             raise UsageError("--fleet: only with --dask")
+        name, supported = _estimator(self), ESTIMATORS[_estimator(self)].supports
+        for option_name, given, feature in (
+            ("--offsets", self.offsets, OFFSETS),
+            ("--ml-spacing", self.ml_spacing is not None, LIKELIHOOD),
+            ("--physical always", self.physical == "always", BODIES),
+            ("--previous", self.previous is not None, PREVIOUS),
+            ("several recordings", len(self.train) > 1 and self.dask is None, SEVERAL),
+        ):
+            if given and feature not in supported:
+                raise UsageError(f"{option_name}: not with the estimator {name}")
 
 
 # Fits of a fleet that are printed; all are in the file.

@@ -72,7 +72,7 @@ def torque_constants_command(
     robot: RobotArgument,
     unloaded: Annotated[Path, argument("UNLOADED", "Recording of the arm without payload.")],
     loaded: Annotated[Path, argument("LOADED", "Recording of the arm carrying the payload.")],
-    mass: Annotated[float, option(metavar="KG", help="Mass of the payload.")],
+    mass: Annotated[float, option(metavar="KG", above=0.0, help="Mass of the payload.")],
     part: RobotPart,
     drives: Drives,
     columns: ColumnsOption = None,

@@ -139,6 +139,7 @@ def test_joints_of_the_robot_name_columns(log: Path, tmp_path: Path, turned: boo
     assert by_name.torque[1].tolist() == [[3, 4][i] for i in order]
     log.write_text("stamp,p_1,p_2,t_1,t_2\n" + rows)
     assert load_recording(log, joints=names, columns=mapping).torque[1].tolist() == [3, 4]
+    assert load_recording(log, joints=names, columns=mapping).joint_names == names
     assert load_recording(log, joints=2, columns=mapping).position[1].tolist() == [1, 2]
     log.write_text("stamp,p_shoulder,t_shoulder\n" + "".join(f"{i},{i},{i}\n" for i in range(6)))
     with pytest.raises(RecordingError, match="no joint elbow; the recording has shoulder"):
