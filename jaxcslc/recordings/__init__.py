@@ -40,7 +40,9 @@ from ._masks import (
     friction_mask as friction_mask,
     friction_thresholds as friction_thresholds,
     possible_backlash as possible_backlash,
+    resting_range as resting_range,
     static_fractions as static_fractions,
+    without_motion_at_rest as without_motion_at_rest,
 )
 from ._preparation import (
     DEFAULT_THRESHOLD_FRACTION as DEFAULT_THRESHOLD_FRACTION,
@@ -155,6 +157,7 @@ __all__ = [
     "stale_rows",
     "static_fractions",
     "uniform_interval",
+    "without_motion_at_rest",
     "without_rounding",
     "without_stale_rows",
     "zero_phase",

@@ -3,7 +3,7 @@
 The thesis leaves out pairs in backlash (Eqn 2.5-7) and slow pairs (Section 7.2.2).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
 import jax
@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._environment import array_namespace
-from ._recording import Signals
+from ._recording import Samples, Signals
+from ._sampling import encoder_resolution, noise_level
 
 
 Thresholds: TypeAlias = float | int | Sequence[float | int] | Float[np.ndarray, " joints"]
@@ -198,11 +199,93 @@ def away_from_reversals(qd: Signals, margin: int) -> Bool[np.ndarray, "samples j
     return away
 
 
+# Of the greatest speed: what is slower is at rest, and determines nothing. It is the least speed
+# that static friction is fitted from.
+_SLOWEST = 0.003
+# A position that stays within so many steps, or standard deviations of its noise, does not move: it
+# may be next to the edge between two counts, and normal noise has a range of five in most of a
+# hundred samples.
+_STEPS, _DEVIATIONS = 1.5, 5.0
+
+
+def resting_range(position: Signals) -> Float[np.ndarray, " joints"]:
+    """Return the range that readings of a joint at rest stay in, of steps and noise [rad or m].
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import resting_range
+    >>> position = 1e-3 * np.round(1e3 * np.sin(np.linspace(0.0, 3.0, 1000)))[:, None]
+    >>> resting_range(position).round(6).tolist()
+    [0.0015]
+    """
+    return np.maximum(_STEPS * encoder_resolution(position), _DEVIATIONS * noise_level(position))
+
+
+def without_motion_at_rest(
+    time: Samples,
+    position: Signals,
+    qd: Signals,
+    ranges: Float[np.ndarray, " joints"] | None = None,
+) -> Signals:
+    """Return velocities that are zero where the encoder cannot tell that a joint moves.
+
+    A joint is at rest while its position stays within a step of its encoder, or within its noise,
+    for as long as the slowest motion that counts (0.3 % of its greatest speed) needs to leave it:
+    however many samples that are. Smoothing leaves a velocity of noise there, whose sign is no
+    direction of friction.
+
+    **Arguments**
+
+    - `time`: instants of the samples, shape `(samples,)` [s].
+    - `position`: as recorded, shape `(samples, joints)` [rad or m].
+    - `qd`: smoothed velocities, shape `(samples, joints)` [rad/s or m/s].
+    - `ranges`: of `resting_range`, if they are known already.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import without_motion_at_rest
+    >>> time = np.arange(100) * 0.01
+    >>> moves = np.where(time < 0.5, time - 0.5, 0.0)
+    >>> position = 1e-3 * np.round(moves / 1e-3 + 0.1 * np.sin(70 * time))
+    >>> noisy = np.gradient(position, time)
+    >>> at_rest = without_motion_at_rest(time, position[:, None], noisy[:, None])[:, 0] == 0.0
+    >>> int(at_rest[:50].sum()), int(at_rest[51:].sum())
+    (0, 49)
+    """
+    interval = float(np.median(np.diff(time)))
+    ranges = resting_range(position) if ranges is None else ranges
+    moved = np.array(qd)
+    for joint, (values, extent) in enumerate(zip(position.T, ranges.tolist(), strict=True)):
+        slowest = _SLOWEST * float(np.max(np.abs(qd[:, joint])))
+        if slowest > 0.0 and extent > 0.0:
+            length = max(int(np.ceil(extent / (slowest * interval))) + 1, 2)
+            moved[_within(values, extent, min(length, len(values))), joint] = 0.0
+    return moved
+
+
+def _within(values: Samples, extent: float, length: int) -> Bool[np.ndarray, " samples"]:
+    """Mark every sample of each stretch of a length within which values stay in an extent."""
+    highest, lowest = (_running(values, length, of_two) for of_two in (np.maximum, np.minimum))
+    starts = np.flatnonzero(highest - lowest <= extent)
+    ends = np.zeros(len(values) + 1, int)
+    np.add.at(ends, starts, 1)
+    np.add.at(ends, starts + length, -1)
+    return np.cumsum(ends[:-1]) > 0
+
+
+def _running(values: np.ndarray, length: int, of_two: Callable[..., np.ndarray]) -> np.ndarray:
+    """The largest, or smallest, value of each stretch of a length: of halves, again and again."""
+    span = 1
+    while 2 * span <= length:
+        values = of_two(values[:-span], values[span:])
+        span *= 2
+    rest = length - span
+    return of_two(values[: len(values) - rest], values[rest:])
+
+
 Velocities = Float[Array | np.ndarray, "samples joints"]
 
 # A joint that is slower than this part of its greatest speed, for so many samples, is at rest.
-# Encoder noise and the creep of a position controller are there; a joint that turns back passes
-# through in less than a sample.
+# The creep of a position controller is there; a joint that turns back passes through in less than a
+# sample.
 _REST_FRACTION, _REST_SAMPLES = 1e-4, 5
 
 
@@ -215,8 +298,9 @@ def at_rest(qd: Velocities) -> Bool[Array | np.ndarray, "samples joints"]:
 
     **Returns**
 
-    True where a joint is slower than 1e-4 of its greatest speed for five samples at least, shape
-    `(samples, joints)`. A joint that never moves is not marked.
+    True where a joint is slower than 1e-4 of its greatest speed for five samples at least, and
+    where its velocity is zero (`without_motion_at_rest`), shape `(samples, joints)`. A joint that
+    never moves is not marked.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import at_rest
@@ -226,9 +310,11 @@ def at_rest(qd: Velocities) -> Bool[Array | np.ndarray, "samples joints"]:
     """
     xp = array_namespace(qd)
     samples = qd.shape[0]
+    fastest = xp.max(xp.abs(qd), axis=0, keepdims=True, initial=0.0)
+    stopped = (qd == 0.0) & (fastest > 0.0)
     if samples < _REST_SAMPLES:
-        return xp.zeros(qd.shape, bool)
-    slow = xp.abs(qd) < _REST_FRACTION * xp.max(xp.abs(qd), axis=0, keepdims=True)
+        return stopped
+    slow = xp.abs(qd) < _REST_FRACTION * fastest
     starts = samples - _REST_SAMPLES + 1
     lasting = xp.ones((starts, qd.shape[1]), bool)
     for shift in range(_REST_SAMPLES):
@@ -238,7 +324,7 @@ def at_rest(qd: Velocities) -> Bool[Array | np.ndarray, "samples joints"]:
     still = xp.zeros(qd.shape, bool)
     for shift in range(_REST_SAMPLES):
         still = still | padded[shift : shift + samples]
-    return still
+    return still | stopped
 
 
 def directions_beside(

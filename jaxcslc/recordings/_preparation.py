@@ -19,6 +19,7 @@ from ._masks import (
     friction_thresholds,
     possible_backlash,
     static_fractions,
+    without_motion_at_rest,
 )
 from ._recording import Recording, Samples, Signals
 from ._sampling import Sampling
@@ -247,8 +248,14 @@ class Preparation:
                 f"reversal margin is {self.reversal_margin} samples; expected 0 or more"
             )
 
-    def derivatives(self, recording: Recording) -> Derivatives:
+    def derivatives(
+        self, recording: Recording, ranges: Float[np.ndarray, " joints"] | None = None
+    ) -> Derivatives:
         """Return smoothed positions, velocities and accelerations of a recording's samples.
+
+        Velocities are zero where a joint is at rest (`without_motion_at_rest`).
+
+        - `ranges`: of `resting_range`, if they are known already.
 
         **Raises**
 
@@ -265,6 +272,7 @@ class Preparation:
                 )
             qd = self.smoothing.low_pass(time, recording.velocity)
             qdd = np.gradient(qd, time, axis=0, edge_order=2)
+        qd = without_motion_at_rest(time, recording.position, qd, ranges)
         return without_rounding(recording.position, (q, qd, qdd))
 
     def patterns(self, recording: Recording, derivatives: Derivatives | None = None) -> Patterns:

@@ -27,6 +27,7 @@ from ..recordings import (
     Recording,
     Sampling,
     TorqueAlignment,
+    resting_range,
     zero_phase,
 )
 from ..uncertainty import FOLDS
@@ -395,6 +396,7 @@ class _Trials:
         self.recording = recording
         self.by_settings: dict[Settings, Trial] = {}
         self.derivatives: dict[Preparation, Derivatives] = {}
+        self._ranges = resting_range(recording.position)
         self._columns: tuple[Preparation, HostColumns] | None = None
         self.start = candidates.start().with_options(backlash=backlash)
         # The same ends are cut off for all, so that all are fitted and judged on the same samples.
@@ -491,7 +493,7 @@ class _Trials:
     def _motion(self, preparation: Preparation) -> Derivatives:
         motion = motion_part(preparation)
         if motion not in self.derivatives:
-            self.derivatives[motion] = motion.derivatives(self.recording)
+            self.derivatives[motion] = motion.derivatives(self.recording, self._ranges)
         return self.derivatives[motion]
 
 
