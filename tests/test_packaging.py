@@ -32,7 +32,6 @@ COMMON = {
         "_processes",
         "_progress",
         "_rank",
-        "_safe_text",
         "_scratch",
         "_text_table",
     ),

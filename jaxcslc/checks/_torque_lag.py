@@ -233,7 +233,9 @@ class _Combined:
         weights = errors**-2
         mean = float(np.average(values, weights=weights))
         excess = float(weights @ (values - mean) ** 2) - (values.size - 1)
-        between = max(0.0, excess / float(weights.sum() - (weights @ weights) / weights.sum()))
+        freedom = float(weights.sum() - (weights @ weights) / weights.sum())
+        # None where one joint outweighs all others by more than rounding shows.
+        between = max(0.0, excess / freedom) if freedom > 0.0 else 0.0
         weights = 1.0 / (errors**2 + between)
         mean = float(np.average(values, weights=weights))
         # As many as the joints that have a say, also where none differs from the others beyond its

@@ -9,7 +9,6 @@ import dataclasses
 import difflib
 import functools
 import inspect
-import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -36,7 +35,7 @@ class Option:
       the parameter.
     - `metavar`: its value, as help shows it.
     - `group`: of the help that shows it; empty for the options that everybody sees.
-    - `least`: the smallest number that it takes; `above`: the number that it must exceed.
+    - `least`: the smallest number that it takes.
     - `flags`: names of before that stand for one of its values, with that value.
     - `renamed`: values of before, each with that of now.
     - `positional`: whether it is an argument.
@@ -47,7 +46,6 @@ class Option:
     metavar: str = ""
     group: str = ""
     least: int | None = None
-    above: float | None = None
     flags: tuple[tuple[str, str], ...] = ()
     renamed: tuple[tuple[str, str], ...] = ()
     positional: bool = False
@@ -135,15 +133,13 @@ class Parameter:
             raise self.wrong(f"expected {', '.join(self.choices)}, got {text!r}")
         if self.item not in _NUMBERS:
             return text if self.choices else self.item(text)
-        least, above = self.option.least, self.option.above
+        least = self.option.least
         expected = _NUMBERS[self.item] + ("" if least is None else f" from {least} on")
-        expected += "" if above is None else f" above {above:g}"
         try:
             value = self.item(text)
         except ValueError:
             raise self.wrong(f"expected {expected}, got {text!r}") from None
-        small = (least is not None and value < least) or (above is not None and value <= above)
-        if small or not math.isfinite(value):
+        if least is not None and not value >= least:
             raise self.wrong(f"expected {expected}, got {text!r}")
         return value
 

@@ -10,8 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .._safe_text import csv_line
-from .._scratch import all_together
+from .._scratch import unfinished
 from ..codegen import comment_text, identifier
 from ..manipulator import joint_lines, link_poses
 from ..network import CSLC
@@ -315,8 +314,8 @@ def save_design(
         c_text(network, time, motion[0]),
         design_page(design, command),
     )
-    with all_together(paths) as files:
-        for file, text in zip(files, texts, strict=True):
+    for target, text in zip(paths, texts, strict=True):
+        with unfinished(target) as file:
             file.write_text(text, encoding="utf-8", errors="backslashreplace")
     return paths
 
@@ -352,7 +351,7 @@ def csv_text(network: CSLC, time: Time, q: Samples, qd: Samples, qdd: Samples) -
     """Return a motion as a table."""
     quantities = ("position", "velocity", "acceleration")
     names = [f"{quantity}_{name}" for quantity in quantities for name in network.output_labels]
-    lines = [csv_line(["time", *names])]
+    lines = [",".join(["time", *names])]
     for row in np.column_stack([time, q, qd, qdd]):
         lines.append(",".join(f"{value:.10g}" for value in row))
     return "\n".join(lines) + "\n"

@@ -23,6 +23,7 @@ from ..least_squares import (
     residual_weights,
     robust_weights,
     triangle_of,
+    weights_of_scales,
 )
 from ..network import CSLC
 from ..recordings import Patterns
@@ -430,12 +431,19 @@ def _fitted_slopes(
             rows = Rows.from_equations(equations.plain(slopes), equations.samples)
             roots, scale = robust_weights(rows, k, solver.loss)
             equations = equations.reweighted(roots)
-            weights = 1.0 / scale if by_residual else weights
+            weights = weights_of_scales(rows, scale) if by_residual else weights
         elif by_residual:
             factors = equations.factors(slopes, np.zeros(len(slopes)))
             k_all = np.append(k, np.zeros(len(slopes)))
             error = factors.root_mean_squares(equations.unknowns, k_all)
-            weights = np.asarray(residual_weights(error, factors.counts))
+            weights = np.asarray(
+                residual_weights(
+                    error,
+                    factors.counts,
+                    factors.torque_scale(),
+                    equations.unknowns.joint_sizes,
+                )
+            )
         if not from_start and number == 0:
             slopes = _best_start(equations, slopes, weights, solver.rcond)
         before = slopes

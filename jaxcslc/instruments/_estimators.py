@@ -94,7 +94,11 @@ def projected_fit(
     projected, k, left = solve(weights)
     for _ in range(_ROUNDS if by_residual else 0):
         error = np.array([np.sqrt(np.mean(e**2)) if len(e) else 0.0 for e in left])
-        weights = np.asarray(residual_weights(error, counts))
+        weights = np.asarray(
+            residual_weights(
+                error, counts, equations.torque_scale(), equations.unknowns.joint_sizes
+            )
+        )
         projected, k, left = solve(weights)
     pseudo = [x @ k + e for x, e in zip(projected, left, strict=True)]
     fit = _weighted(solver, weights).fit_equations(second_stage(projected, pseudo), samples)

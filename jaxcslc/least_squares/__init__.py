@@ -13,6 +13,7 @@ There are four routes to one triangle per joint. `_factors` factorises short rec
 Triangles are joined. Streams, shards, files of a cluster and folds are other blocks; filtered and
 weighted equations are other rows.
 
+- `_rounding`: columns of which nothing but rounding is left.
 - `_settings`: from a recording to coefficients; `_least_squares`: the estimator and its options.
 - `_identification`: the result.
 - `_errors`, `_losses`: a second pass over the equations, for correlated errors and robust losses.
@@ -48,6 +49,7 @@ from ._equations import (
     Equations as Equations,
     dense_factors as dense_factors,
     equations_of as equations_of,
+    unknowns_of as unknowns_of,
 )
 from ._errors import (
     ERRORS as ERRORS,
@@ -84,7 +86,11 @@ from ._least_squares import (
     gauss_newton as gauss_newton,
     settled as settled,
 )
-from ._losses import Loss as Loss, robust_weights as robust_weights
+from ._losses import (
+    Loss as Loss,
+    robust_weights as robust_weights,
+    weights_of_scales as weights_of_scales,
+)
 from ._minimum import (
     Fixed as Fixed,
     FoldFit as FoldFit,
@@ -92,6 +98,7 @@ from ._minimum import (
     Previous as Previous,
     Solution as Solution,
     fold_coefficients as fold_coefficients,
+    hidden_noise as hidden_noise,
     joint_weights_of as joint_weights_of,
     minimum as minimum,
     minimum_coefficients as minimum_coefficients,

@@ -4,6 +4,7 @@ Workers derive the network again and return triangular factors (`_factors`, `_st
 """
 
 import contextlib
+import csv
 import dataclasses
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
@@ -14,7 +15,6 @@ import jax
 import numpy as np
 
 from .._environment import require, require_float64
-from .._safe_text import csv_line
 from .._scratch import unfinished
 from ..manipulator import Manipulator, Mimic
 from ..network import CSLC, RigidBodyTables, derive
@@ -276,7 +276,7 @@ class Fleet:
             unfinished(Path(path)) as file,
             file.open("w", newline="", encoding="utf-8", errors="backslashreplace") as text,
         ):
-            text.writelines(f"{csv_line(line)}\r\n" for line in lines)
+            csv.writer(text).writerows(lines)
 
 
 def _solver(settings: Settings | None) -> LeastSquares:

@@ -20,6 +20,7 @@ from ..recordings import (
 )
 from ._columns import LONG, HostColumns, columns_of, rows_of
 from ._factors import JointFactors, Unknowns, joined_factors
+from ._rounding import rounding_of
 
 
 # Periods of its cut-off after which the zero-phase filter has forgotten to ten digits: its slowest
@@ -113,6 +114,15 @@ class Equations:
             for support, rows in zip(self.unknowns.support, self.rows, strict=True)
         ]
 
+    def counts(self) -> Float[np.ndarray, " joints"]:
+        """Return the number of each joint's equations."""
+        return np.array([float(len(rows)) for rows in self.rows])
+
+    def torque_scale(self) -> Float[np.ndarray, " joints"]:
+        """Return the root mean square torque of each joint's equations; 0 of none."""
+        squares = [float(rows[:, -1] @ rows[:, -1]) / max(len(rows), 1) for rows in self.rows]
+        return np.sqrt(squares)
+
     def instants(self) -> tuple[Int[np.ndarray, " instants"], list[Int[np.ndarray, " _"]]]:
         """The samples of all equations in ascending order, and for each joint which of them its
         equations belong to."""
@@ -122,7 +132,7 @@ class Equations:
     def followed_by(self, other: "Equations", after: int) -> "Equations":
         """Return both sets of equations, the other's recording `after` samples later."""
         return Equations(
-            self.unknowns,
+            self.unknowns.with_larger_rounding(other.unknowns),
             tuple(np.concatenate(rows) for rows in zip(self.rows, other.rows, strict=True)),
             tuple(
                 np.concatenate([mine, after + theirs])
@@ -177,7 +187,7 @@ class Equations:
 
     def factors(self) -> JointFactors:
         """Return the factors of all equations."""
-        return JointFactors.from_rows(self.rows, np.array([float(len(rows)) for rows in self.rows]))
+        return JointFactors.from_rows(self.rows, self.counts())
 
     def factors_of_folds(self, fold: Int[np.ndarray, " samples"], folds: int) -> JointFactors:
         """Return the factors of each fold by itself, all arrays with a leading axis of folds."""
@@ -226,10 +236,11 @@ def equations_of(
 
     - `columns`: of the regressor, if they are known already.
     """
-    unknowns, samples = Unknowns.of(network), len(patterns.q)
+    samples = len(patterns.q)
     time, torque, mask = (np.asarray(x) for x in (patterns.time, patterns.torque, patterns.mask))
     if cutoff is None or columns is not None or samples <= LONG:
         columns = columns_of(network, patterns) if columns is None else columns
+        unknowns = unknowns_of(network, patterns, columns)
         return Equations.from_columns(unknowns, columns, torque, mask, time=time, cutoff=cutoff)
     interval = uniform_interval(time)
     reach = int(np.ceil(_MEMORY / (cutoff * interval)))
@@ -238,9 +249,11 @@ def equations_of(
     joined: Equations | None = None
     for first in range(0, samples, inside):
         start, stop = max(first - reach, 0), min(first + inside + reach, samples)
+        rows = rows_of(patterns, slice(start, stop))
+        columns = columns_of(network, rows)
         part = Equations.from_columns(
-            unknowns,
-            columns_of(network, rows_of(patterns, slice(start, stop))),
+            unknowns_of(network, rows, columns),
+            columns,
             torque[start:stop],
             mask[start:stop],
             time=time[start:stop],
@@ -250,6 +263,14 @@ def equations_of(
         joined = part if joined is None else joined.followed_by(part, start)
     assert joined is not None
     return joined
+
+
+def unknowns_of(
+    network: AbstractLinearNetwork, patterns: Patterns, columns: HostColumns
+) -> Unknowns:
+    """Return the unknowns of a network, and what rounding of patterns makes of their columns."""
+    rounding = rounding_of(network, patterns, columns)
+    return dataclasses.replace(Unknowns.of(network), rounding=rounding)
 
 
 def dense_factors(network: AbstractLinearNetwork, patterns: Patterns) -> JointFactors:

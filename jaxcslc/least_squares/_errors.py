@@ -253,12 +253,14 @@ def identification_of(
         covariance = covariance + inherited @ fixed.covariance @ inherited.T
         independent = independent + inherited @ fixed.independent_covariance @ inherited.T
         degrees_of_freedom = xp.minimum(degrees_of_freedom, fixed.degrees_of_freedom)
+    # As many coefficients as equations follow any torque: what is left says nothing of noise.
+    told = solution.determined & (equations > solution.rank)
     deviation = xp.sqrt(xp.diag(covariance))
     # Put on the device together: one by one they take longer than the decomposition.
     arrays: dict[str, Any] = as_jax(
         {
             "k": solution.k,
-            "standard_error": xp.where(solution.determined, deviation, np.inf),
+            "standard_error": xp.where(told, deviation, np.inf),
             "covariance": covariance,
             "independent_covariance": independent,
             "torque_error": factors.root_mean_squares(unknowns, solution.k),

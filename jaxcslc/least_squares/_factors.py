@@ -23,6 +23,9 @@ from ..network import AbstractLinearNetwork
 _CELLS = 7000
 # Entries of equations whose joints are worth threads of their own.
 _FEWEST_OF_THREADS = 1 << 20
+# How many times what rounding makes of a column counts as zero: ten are those of a sum of a hundred
+# terms.
+_ROUNDINGS = 10.0
 # Triangles that are stacked and factorised at once.
 _JOINED = 8
 
@@ -35,10 +38,13 @@ class Unknowns:
 
     - `names`: of the p coefficients.
     - `support`: for each joint, the indices of those that its equations depend on, ascending.
+    - `rounding`: for each joint, what rounding alone makes of the columns of its support, as a root
+      mean square; None where it need not be known.
     """
 
     names: tuple[str, ...]
     support: tuple[tuple[int, ...], ...]
+    rounding: tuple[tuple[float, ...], ...] | None = None
 
     @classmethod
     def of(cls, network: AbstractLinearNetwork) -> "Unknowns":
@@ -49,6 +55,11 @@ class Unknowns:
     def size(self) -> int:
         """Number of coefficients, p."""
         return len(self.names)
+
+    @property
+    def joint_sizes(self) -> Float[np.ndarray, " joints"]:
+        """Numbers of coefficients that the equations of each joint depend on."""
+        return np.array([float(len(support)) for support in self.support])
 
     def with_further(self, counts: Sequence[int]) -> "Unknowns":
         """Append unknowns that only one joint's equations depend on.
@@ -62,7 +73,21 @@ class Unknowns:
                 (*support, *range(start, end))
                 for support, start, end in zip(self.support, ends, ends[1:], strict=False)
             ),
+            None
+            if self.rounding is None
+            else tuple(
+                (*sizes, *(0.0,) * count)
+                for sizes, count in zip(self.rounding, counts, strict=True)
+            ),
         )
+
+    def with_larger_rounding(self, other: "Unknowns") -> "Unknowns":
+        """Return the unknowns with the rounding of either motion, whichever is larger."""
+        if self.rounding is None or other.rounding is None:
+            return dataclasses.replace(self, rounding=self.rounding or other.rounding)
+        pairs = zip(self.rounding, other.rounding, strict=True)
+        larger = tuple(tuple(map(max, mine, theirs)) for mine, theirs in pairs)
+        return dataclasses.replace(self, rounding=larger)
 
 
 class JointFactors(NamedTuple):
@@ -109,12 +134,21 @@ class JointFactors(NamedTuple):
     def stacked(
         self, unknowns: Unknowns, weights: Float[Array | np.ndarray, "*batch joints"]
     ) -> Float[Array | np.ndarray, "*batch _ columns"]:
-        """Return all triangles in the columns of all coefficients, joints scaled by weights."""
+        """Return all triangles in the columns of all coefficients, joints scaled by weights.
+
+        Columns that are no more than rounding are zero.
+        """
         xp = array_namespace(self.counts)
         rows: list[Any] = []
         for joint, (support, triangle) in enumerate(
             zip(unknowns.support, self.triangles, strict=True)
         ):
+            if unknowns.rounding is not None:
+                # The triangle without a column is that of the equations without it.
+                sizes = _ROUNDINGS * np.array([*unknowns.rounding[joint], 0.0])
+                least = sizes * xp.sqrt(self.counts[..., joint, None])
+                more = xp.linalg.norm(triangle, axis=-2) > least
+                triangle = xp.where(more[..., None, :], triangle, 0.0)
             # Where in the triangle, with a column of zeros behind, each coefficient's column is.
             column = np.full(unknowns.size + 1, len(support) + 1)
             column[[*support, unknowns.size]] = np.arange(len(support) + 1)
@@ -132,6 +166,12 @@ class JointFactors(NamedTuple):
             coefficients = k[..., np.array(support, dtype=int)]
             error = (triangle[..., :-1] @ coefficients[..., None])[..., 0] - triangle[..., -1]
             norms.append(xp.linalg.norm(error, axis=-1))
+        return xp.stack(norms, axis=-1) / xp.sqrt(xp.maximum(self.counts, 1.0))
+
+    def torque_scale(self) -> Float[Array | np.ndarray, "*batch joints"]:
+        """Return the root mean square torque of each joint's equations."""
+        xp = array_namespace(self.counts)
+        norms = [xp.linalg.norm(triangle[..., -1], axis=-1) for triangle in self.triangles]
         return xp.stack(norms, axis=-1) / xp.sqrt(xp.maximum(self.counts, 1.0))
 
 

@@ -149,7 +149,7 @@ class Identification(eqx.Module):
     - `k`: (p,) coefficients, in the order of `network.coefficients`, in their units. Where the
       patterns leave a choice, the one of least norm after scaling every column to unit length.
     - `standard_error`: (p,) standard deviation of each; infinite where the patterns do not
-      determine it.
+      determine it, and of all where there are no more equations than the rank.
     - `covariance`: (p, p); entries of undetermined coefficients are those of the chosen solution.
       For correlated errors its rank is at most `degrees_of_freedom`: read variances and
       correlations off it, do not invert it.

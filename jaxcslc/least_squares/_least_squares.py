@@ -26,8 +26,8 @@ from ._blocks import (
     factors_of_blocks,
     residual_sums_of_blocks,
 )
-from ._columns import HostColumns, columns_of, torque_by, traced, untraced
-from ._equations import Equations, equations_of, samples_of
+from ._columns import HostColumns, columns_of, rows_of, torque_by, traced, untraced
+from ._equations import Equations, equations_of, samples_of, unknowns_of
 from ._errors import ERRORS, Errors, Rows, correlated_errors, independent_errors
 from ._factors import JointFactors, Unknowns
 from ._identification import RESULTS, Identification, result_of
@@ -46,6 +46,10 @@ from ._minimum import (
     residual_weights,
 )
 from ._products import corrected, needs_correction
+
+
+# Of many patterns, those in which columns of rounding are looked for.
+_SAMPLES = 1 << 12
 
 
 def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
@@ -348,6 +352,9 @@ class LeastSquares:
             factors = rows.factors(jnp.ones(rows.counts.shape))
             return self._fit_rows(unknowns, factors, rows if self._passes_twice else None, fixed)
         if self.cutoff is None and are_many(patterns):
+            if isinstance(patterns.q, np.ndarray):
+                some = rows_of(patterns, slice(None, None, max(len(patterns.q) // _SAMPLES, 1)))
+                unknowns = unknowns_of(network, some, columns_of(network, some))
             factors = factors_of_blocks(network, blocks_of_patterns(network, patterns))
             rows = Rows.from_patterns(network, patterns) if self._passes_twice else None
             sums = lambda k: residual_sums_of_blocks(
@@ -428,7 +435,12 @@ class WeightedEquations:
         counts = np.array([float(len(error)) for error in errors])
         if solver.joint_weights == "residual":
             squares = [np.sum((r * e) ** 2) for r, e in zip(roots, errors, strict=True)]
-            weights = residual_weights(np.sqrt(squares / np.maximum(counts, 1.0)), counts)
+            weights = residual_weights(
+                np.sqrt(squares / np.maximum(counts, 1.0)),
+                counts,
+                equations.torque_scale(),
+                equations.unknowns.joint_sizes,
+            )
         elif isinstance(solver.joint_weights, str):
             weights = np.ones(len(errors))
         else:

@@ -10,7 +10,14 @@ from .._environment import array_namespace
 from ._columns import traced
 from ._errors import Rows
 from ._factors import JointFactors
-from ._minimum import Fixed, Numbers, Solution, minimum, minimum_coefficients
+from ._minimum import (
+    Fixed,
+    Numbers,
+    Solution,
+    minimum,
+    minimum_coefficients,
+    residual_weights,
+)
 
 
 Loss = Literal["squared", "huber", "bisquare"]
@@ -119,7 +126,7 @@ def robust_fit(
     for stage in stages:
         k = _reweighted(rows, k, weights, by_residual, stage, rcond, fixed)
     error, scale = errors_and_scale(rows, k)
-    weights = 1.0 / scale if by_residual else weights
+    weights = weights_of_scales(rows, scale) if by_residual else weights
     xp, u = array_namespace(error), error / scale[None, :]
     number = xp.maximum(xp.sum(rows.counts, axis=0), 1.0)
     steepness = xp.sum(rows.counts * slope(loss, u), axis=0) / number
@@ -153,6 +160,15 @@ def robust_weights(
     return array_namespace(error).sqrt(weight(loss, error / scale[None, :])), scale
 
 
+def weights_of_scales(rows: Rows, scale: Float[Numbers, " joints"]) -> Float[Numbers, " joints"]:
+    """Return weights of joints by their robust scales, as `residual_weights`."""
+    xp, counts = array_namespace(rows.torque), rows.counts
+    numbers = 1.0 * xp.sum(counts > 0, axis=0)
+    squares = xp.sum(xp.where(counts > 0, rows.torque**2, 0.0), axis=0)
+    torque = xp.sqrt(squares / xp.maximum(numbers, 1.0))
+    return residual_weights(scale, numbers, torque, rows.unknowns.joint_sizes)
+
+
 def _reweighted(
     rows: Rows,
     start: Float[Numbers, " coefficients"],
@@ -167,7 +183,7 @@ def _reweighted(
     def improve(state: tuple[Any, Any, Any]) -> tuple[Any, Any, Any]:
         k, _, rounds = state
         root, scale = robust_weights(rows, k, loss)
-        joint_weights = 1.0 / scale if by_residual else weights
+        joint_weights = weights_of_scales(rows, scale) if by_residual else weights
         better = minimum_coefficients(
             rows.unknowns, rows.factors(root), joint_weights, rcond, fixed
         )

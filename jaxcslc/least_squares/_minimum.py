@@ -20,6 +20,8 @@ from ._factors import JointFactors, Unknowns, triangle_of
 from ._identification import Identification
 
 
+# Of residuals, as a part of the torque: what is smaller is rounding.
+_ROUNDING = 1e-12
 # Weights settle to a percent in two rounds: residuals hardly depend on them.
 _ROUNDS = 3
 # A coefficient that shares this part of a unit null vector is not determined by itself: rounding of
@@ -218,23 +220,79 @@ def joint_weights_of(
             raise ValueError(f"joint_weights: expected {n} numbers, got {len(joint_weights)}")
         weights = weights * xp.asarray(joint_weights, float)
     by_residual = isinstance(joint_weights, str) and joint_weights == "residual"
-    for _ in range(_ROUNDS if by_residual else 0):
+    for number in range(_ROUNDS if by_residual else 0):
         k = minimum_coefficients(unknowns, factors, weights, rcond, fixed)
-        weights = residual_weights(factors.root_mean_squares(unknowns, k), factors.counts)
+        weights = residual_weights(
+            factors.root_mean_squares(unknowns, k),
+            factors.counts,
+            factors.torque_scale(),
+            # Residuals of equal weights do not tell yet what is usual: weak joints have large ones.
+            unknowns.joint_sizes if number else None,
+        )
     return weights
 
 
 def residual_weights(
-    error: Float[Numbers, "*batch joints"], counts: Float[Numbers, "*batch joints"]
+    error: Float[Numbers, "*batch joints"],
+    counts: Float[Numbers, "*batch joints"],
+    torque: Float[Numbers, "*batch joints"],
+    sizes: Float[Numbers, " joints"] | None,
 ) -> Float[Numbers, "*batch joints"]:
-    """Return the reciprocal of each joint's residual as its weight.
+    """Return the reciprocal of each joint's noise as its weight; 1 of a joint without equations.
 
-    A joint without equations, or without error, has weight 1.
+    The noise is the residual, and no less than what a fit can hide of the usual noise
+    (`hidden_noise`): of the median of the joints' residuals as parts of their torques; or of the
+    torques, where no joint has more equations than coefficients. So a joint that hardly moves has
+    no greater weight than others.
+
+    - `error`, `torque`: root mean squares of residuals and of torques.
+    - `counts`: of equations; `sizes`: how many coefficients each joint's equations depend on; None
+      for residuals as they are.
     """
     xp = array_namespace(error)
-    largest = xp.max(error, axis=-1, keepdims=True)
-    floor = xp.where(largest > 0, 1e-12 * largest, 1.0)
-    return xp.where(counts > 0, 1.0 / xp.maximum(error, floor), 1.0)
+    some = torque > 0
+    parts = error / xp.where(some, torque, 1.0)
+    floor = _ROUNDING
+    if sizes is not None:
+        hidden = hidden_noise(parts, xp.where(some, counts, 0.0), sizes, xp.ones_like(parts))
+        floor = xp.maximum(hidden, floor)
+    noise = xp.maximum(error, floor * torque)
+    # A joint whose torque is always zero says nothing of its noise.
+    largest = xp.max(xp.where(counts > 0, noise, 0.0), axis=-1, keepdims=True)
+    noise = xp.where(some, noise, largest)
+    return xp.where((counts > 0) & (noise > 0), 1.0 / xp.where(noise > 0, noise, 1.0), 1.0)
+
+
+def hidden_noise(
+    noise: Float[Numbers, "*batch fits"],
+    counts: Float[Numbers, "*batch fits"],
+    sizes: Float[Numbers, "..."],
+    otherwise: Float[Numbers, "..."],
+) -> Float[Numbers, "*batch fits"]:
+    """Return what fits may hide of noise that is usual among them, the median.
+
+    p coefficients follow any torque in p of N equations: only the other N - p tell of noise. The
+    usual noise counts as one more that does, as it would in a prior for the variance. A fit of as
+    many equations as coefficients, whose residual is zero, is then as noisy as is usual; one of
+    10,000 equations may have a hundredth of the usual noise.
+
+    - `noise`: root mean square residuals; `counts`: N, of equations; `sizes`: p, of coefficients.
+    - `otherwise`: the usual noise where no fit has more equations than coefficients.
+    """
+    xp = array_namespace(noise)
+    usual = _median(xp, noise, counts > sizes, otherwise)
+    return usual / xp.sqrt(xp.maximum(counts - sizes, 0.0) + 1.0)
+
+
+def _median(xp: ModuleType, values: Any, counted: Any, otherwise: Any) -> Any:
+    """The median along the last axis of the values that are counted; `otherwise` of none."""
+    ordered = xp.sort(xp.where(counted, values, xp.inf), axis=-1)
+    number = xp.sum(counted, axis=-1, keepdims=True)
+    low, high = (
+        xp.take_along_axis(ordered, index, axis=-1)
+        for index in (xp.maximum(number - 1, 0) // 2, xp.minimum(number // 2, values.shape[-1] - 1))
+    )
+    return xp.where(number > 0, 0.5 * (low + high), otherwise)
 
 
 def minimum_coefficients(

@@ -16,6 +16,7 @@ from ..recordings import (
     SavitzkyGolay,
     TorqueAlignment,
     VelocitySource,
+    samples_kept,
     static_fractions,
     uniform_interval,
 )
@@ -140,7 +141,15 @@ _SPACINGS = (5, 7, 9, 13, 17, 25, 35, 49, 69, 97, 137)
 _SMOOTHING_CUTOFFS = (45.0, 32.0, 22.0, 16.0, 11.0, 8.0, 5.6, 4.0, 2.8, 2.0)
 _WINDOWS = (9, 13, 17, 25, 35, 49, 69, 97, 137, 193)
 _CUTOFFS = (30.0, 15.0, 8.0, 4.0)
+# Equations a coefficient that a filter leaves at least. As many as coefficients would follow any
+# torque.
+_EQUATIONS = 3
 _THRESHOLD_FRACTIONS = (0.01, DEFAULT_THRESHOLD_FRACTION, 0.1)
+
+
+def _kept(samples: int, cutoff: float, rate: float) -> int:
+    """The number of samples that a parallel filter keeps; 0 without a rate."""
+    return len(samples_kept(samples, cutoff, 1.0 / rate)) if rate else 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -191,8 +200,9 @@ class Candidates:
     def suited_to(cls, recording: Recording, network: CSLC | None = None) -> "Candidates":
         """The default candidates without those that a recording or a network cannot use.
 
-        Filters need uniform time and a sampling rate well above their cut-off; splines need some
-        twenty knots, windows twenty times their length. Joints with a term of static friction
+        Filters need uniform time and a sampling rate well above their cut-off, and leave three
+        equations a coefficient at least; splines need some twenty knots, windows twenty times
+        their length. Joints with a term of static friction
         keep their slow pairs (see `Preparation.with_static_friction`). By convention, torques that
         were measured (`Recording.torque_measured`) belong to their samples; of demands, which a
         drive holds, the mean of the two that meet at a sample does.
@@ -214,6 +224,8 @@ class Candidates:
         cutoffs = [f for f in _SMOOTHING_CUTOFFS if 4.0 * f < rate < f * recording.samples / 20]
         windows = [w for w in _WINDOWS if rate and 20 * w <= recording.samples]
         static = (False,) if network is None else static_friction_joints(network)
+        kept = {f: recording.joints * _kept(recording.samples, f, rate) for f in _CUTOFFS}
+        least = 0 if network is None else _EQUATIONS * network.size
         return cls(
             smoothings=(
                 *(AveragedSplines(j) for j in spacings or _SPACINGS[:1]),
@@ -227,7 +239,7 @@ class Candidates:
             threshold_fractions=tuple(
                 static_fractions(fraction, static) for fraction in _THRESHOLD_FRACTIONS
             ),
-            cutoffs=(None, *(f for f in _CUTOFFS if 4.0 * f < rate)),
+            cutoffs=(None, *(f for f in _CUTOFFS if 4.0 * f < rate and kept[f] >= least)),
         )
 
     def keeping(self, settings: Settings) -> "Candidates":

@@ -13,7 +13,15 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ..least_squares import Equations, Identification, LeastSquares, Unknowns, regressor_of
+from ..least_squares import (
+    Equations,
+    Identification,
+    LeastSquares,
+    Unknowns,
+    columns_of,
+    hidden_noise,
+    unknowns_of,
+)
 from ..network import AbstractLinearNetwork
 from ..recordings import Patterns
 from ._held_out import CHANCE
@@ -48,15 +56,15 @@ class RecordingEquations:
         """
         if not offsets:
             return cls(solver.equations(network, patterns), None)
-        plain = Unknowns.of(network)
+        columns = columns_of(network, patterns)
+        plain = unknowns_of(network, patterns, columns)
         with_constant = Unknowns(
             (*plain.names, "offset"), tuple((*support, plain.size) for support in plain.support)
         )
-        regressor = np.asarray(regressor_of(network, patterns))
-        constant = np.ones((*regressor.shape[:2], 1))
-        whole = Equations.of(
+        constant = np.ones((1, patterns.samples))
+        whole = Equations.from_columns(
             with_constant,
-            np.concatenate([regressor, constant], axis=2),
+            tuple(np.concatenate([of_joint, constant]) for of_joint in columns),
             np.asarray(patterns.torque),
             np.asarray(patterns.mask),
             time=np.asarray(patterns.time),
@@ -392,7 +400,7 @@ def fit_recordings(
     weights = {name: np.ones(network.joint_count) for name in names}
     fit = fitted(weights, names)
     for _ in range(_ROUNDS):
-        weights = _weights({name: equations[name].rms(fit) for name in names})
+        weights = _weights({name: equations[name] for name in names}, fit)
         fit = fitted(weights, names)
     noise = {name: equations[name].rms(fit) for name in names}
     alone = {name: fitted(weights, [name]) for name in names}
@@ -439,11 +447,24 @@ def _fitted(
 
 
 def _weights(
-    noise: Mapping[str, Float[np.ndarray, " joints"]],
+    equations: Mapping[str, RecordingEquations], fit: Identification
 ) -> dict[str, Float[np.ndarray, " joints"]]:
-    """Return weights per joint and recording: RMS of the noise of all over that of its own."""
+    """Return weights per joint and recording: RMS of the noise of all over that of its own.
+
+    A recording's own noise is its RMS residual, and no less than what a fit can hide of what is
+    usual of that joint in all recordings (`hidden_noise`). So a joint that hardly moves in one
+    recording, where few equations follow any torque, has no more weight there than elsewhere.
+    """
+    noise = {name: some.rms(fit) for name, some in equations.items()}
     pooled = np.sqrt(np.mean([size**2 for size in noise.values()], axis=0))
-    return {
-        name: np.where(size > 0.0, pooled / np.where(size > 0.0, size, 1.0), 1.0)
-        for name, size in noise.items()
-    }
+    floors = hidden_noise(
+        np.array(list(noise.values())).T,
+        np.array([some.equations.counts() for some in equations.values()]).T,
+        next(iter(equations.values())).equations.unknowns.joint_sizes[:, None],
+        pooled[:, None],
+    ).T
+    weights: dict[str, np.ndarray] = {}
+    for (name, size), floor in zip(noise.items(), floors, strict=True):
+        own = np.maximum(size, floor)
+        weights[name] = np.where(own > 0.0, pooled / np.where(own > 0.0, own, 1.0), 1.0)
+    return weights

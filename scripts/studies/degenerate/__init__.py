@@ -1,0 +1,1 @@
+"""Recordings that determine little: what fits of them predict for other motion."""
