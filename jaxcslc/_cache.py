@@ -19,6 +19,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TypeVar
 
+from ._scratch import remove_left_behind, scratch_folder
+
 
 Loaded = TypeVar("Loaded")
 
@@ -76,7 +78,9 @@ def make_kept(
     **Raises** `OSError` if there is no room for the file.
     """
     folder = cache_folder()
-    with TemporaryDirectory(prefix="new-", dir=folder) as scratch:
+    if folder is not None:
+        remove_left_behind(folder)
+    with TemporaryDirectory() if folder is None else scratch_folder(folder, key) as scratch:
         fresh = Path(scratch) / f"{key}{suffix}"
         if not make(fresh):
             return None

@@ -8,11 +8,14 @@ def text_table(
 ) -> str:
     """Columns of text, the first and those in `left` aligned left, the others right.
 
+    A cell is one line, whatever names it holds.
+
     >>> print(text_table(["joint", "error"], [["1", "0.25"], ["2", "10.5"]]))
     joint  error
     1       0.25
     2       10.5
     """
+    header, *rows = ([cell.replace("\n", "\\n") for cell in row] for row in (header, *rows))
     widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
     return "\n".join(
         "  ".join(

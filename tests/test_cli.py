@@ -45,7 +45,7 @@ class TestIdentify:
 
     def test_writes_what_a_user_goes_on_with(self, identified: tuple[Result, Path]) -> None:
         _, output = identified
-        names = {path.name for path in output.iterdir()}
+        names = {path.name for path in output.iterdir()} - {".jaxcslc"}
         assert names == {
             *("index.html", "coefficients.csv", "identification.json", "charts.json"),
             *("errors_training.csv", "torque_training.csv"),
@@ -365,7 +365,7 @@ def test_a_wrong_recording_gets_one_line_and_leaves_results_alone(
     _write(wrong, change(_cells(recordings[0])))
     output.mkdir()
     (output / "coefficients.csv").write_text("earlier results\n")
-    result = run("identify", "puma560", wrong, "-o", output)
+    result = run("identify", "puma560", wrong, "-o", output, "--overwrite")
     assert result.exit_code == 2
     lines = result.stderr.strip().splitlines()
     assert len(lines) == 1, result.stderr

@@ -88,7 +88,7 @@ def test_wrong_usage_is_one_line() -> None:
         ("--physicl", "auto"): "no such option: --physicl; did you mean --physical?",
         ("--loss", "cubic"): "--loss: expected squared, huber, bisquare, got 'cubic'",
         ("--decimate", "0"): "--decimate: expected a whole number from 1 on, got '0'",
-        ("--memory", "much"): "--memory: expected a number, got 'much'",
+        ("--memory", "much"): "--memory: expected a number above 0, got 'much'",
         ("--settings",): "--settings: expected one argument",
         ("--between", "1"): "--between: expected START,END in s, as in 0,8.5, got '1'",
         ("--coupled", "1"): "--coupled: expected two joints, as in 5,6, or 5,6,-1, got '1'",
@@ -107,6 +107,23 @@ def test_options_are_checked_before_files_are_read() -> None:
         line = run("identify", robot, "none.csv", "--friction", "sticky").stderr
         assert line.startswith("jaxcslc: --friction: unknown friction term 'sticky'")
         assert line.endswith("(docs/friction.md)\n")
+    wrong = {
+        ("--memory", "0"): "--memory: expected a number above 0, got '0'",
+        ("--torque-lag", "nan"): "--torque-lag: expected a number, got 'nan'",
+        ("--between", "5,1"): "--between: expected START before END, got '5,1'",
+        ("--ml-spacing", "3"): "--ml-spacing: not with the estimator least-squares",
+        ("--estimator", "auto", "--offsets"): "--offsets: not with the estimator auto",
+    }
+    for words, text in wrong.items():
+        assert usage_error("identify", "none.urdf", "none.csv", *words) == text
+    wrong = {
+        ("--duration", "-1"): "--duration: expected a number above 0, got '-1'",
+        ("--torque-noise", "0.1,-1"): "torque noise is [0.1, -1.0]; expected numbers above 0",
+    }
+    for words, text in wrong.items():
+        assert run("excite", "none.urdf", *words).stderr.startswith(f"jaxcslc: {text} (")
+    for words in (("-o", "out.toml"), ("--c", "-o", "out.urdf")):
+        assert "expected a name ending in" in usage_error("export", "none.urdf", "none", *words)
     line = run("identify", "none.urdf", "none.csv", "--friction", "coulomb").stderr
     assert line.startswith("jaxcslc: none.urdf: no such")  # Coulomb friction is `dry`
 

@@ -1,5 +1,6 @@
 """Commands do not replace what they read, nor what is no result of theirs."""
 
+import contextlib
 import errno
 import os
 import shutil
@@ -81,6 +82,41 @@ def test_the_previous_identification_is_kept(named: str, folder: Path) -> None:
     line = refused("identify", *files, *previous, "-o", folder / "results")
     assert "identification.json: is read" in line and "another --output" in line
     assert (folder / "results" / "identification.json").read_bytes() == before
+
+
+def test_commands_replace_what_they_wrote_and_nothing_else(folder: Path, tmp_path: Path) -> None:
+    """Each runs twice. What a user made, or changed, is refused before the work, and kept."""
+    robot, results = folder / "pendulum.toml", folder / "results"
+    excite = ("excite", robot, "--limits", folder / "limits.toml", "--previous", results)
+    lines: dict[str, tuple[str | Path, ...]] = {
+        "derived/coefficients.csv": ("derive", robot, "-o", "derived"),
+        "page.html": ("compare", results, results, "-o", "page.html"),
+        "arm.h": ("export", robot, results, "--c", "-o", "arm.c"),
+        "arm.toml": ("export", robot, results, "-o", "arm.toml"),
+        "motion.h": (*excite, "--duration", "2", "--starts", "1", "-o", "motion.csv"),
+    }
+    with contextlib.chdir(tmp_path):
+        for name, line in lines.items():
+            for _ in range(2):
+                result = run(*line)
+                assert result.exit_code == 0, result.output
+            file = Path(name)
+            file.write_text("mine")
+            assert f"{name}: was changed since jaxcslc wrote it" in refused(*line)
+            (file.parent / ".jaxcslc").unlink()
+            assert "--overwrite" in refused(*line)
+            assert file.read_text() == "mine"
+            assert run(*line, "--overwrite").exit_code == 0
+            assert file.read_text() != "mine"
+
+
+def test_a_fleet_does_not_replace_its_recording(folder: Path, tmp_path: Path) -> None:
+    file = tmp_path / "fleet.csv"
+    shutil.copy(folder / "train.csv", file)
+    line = ("identify", folder / "pendulum.toml", tmp_path / "*.csv", "--dask", "local", "--fleet")
+    for overwrite in ((), ("--overwrite",)):
+        assert "fleet.csv: is read" in refused(*line, "-o", tmp_path, *overwrite)
+    assert file.read_bytes() == (folder / "train.csv").read_bytes()
 
 
 def test_a_comparison_is_a_page(folder: Path) -> None:

@@ -113,10 +113,30 @@ def test_init_corrects_what_the_check_finds(folder: Path) -> None:
     assert run("check", "log.csv").exit_code == 0
 
 
+def test_init_takes_columns_of_any_names(folder: Path) -> None:
+    """Names that say nothing: a file says what they are, and the project file holds it."""
+    lines = Path("log.csv").read_text().splitlines()
+    Path("odd.csv").write_text("\n".join(["a,b,c,d,e_shoulder,e_elbow,f1,f2", *lines[1:]]))
+    refused = run("init", "arm.urdf", "odd.csv")
+    assert refused.exit_code == 2 and "its columns are a, b, c, d, e_shoulder" in refused.stderr
+    Path("names.toml").write_text(
+        '[time]\ncolumns = "a"\nunit = "ms"\n[torque]\ncolumns = "f{number}"\n'
+        '[position]\ncolumns = "e_{joint}"\nunit = "deg"\n'
+    )
+    result = run("init", "arm.urdf", "odd.csv", "--columns", "names.toml")
+    assert result.exit_code == 0, result.output
+    assert "columns:    as names.toml says (columns)" in result.output
+    assert "fixed:      grip: not in the log (fix)" in result.output
+    written = tomllib.loads(Path("jaxcslc.toml").read_text())
+    assert written["columns"]["position"] == {"columns": "e_{joint}", "unit": "deg"}
+    assert run("check", "odd.csv").exit_code == 0
+
+
 def test_files_that_say_too_little_are_refused(folder: Path) -> None:
     Path("odd.csv").write_text("a,b\n" + "".join(f"{i},{i}\n" for i in range(9)))
     result = run("init", "arm.urdf", "odd.csv")
-    assert result.exit_code == 2 and "columns in [position] and [torque]" in result.stderr
+    assert result.exit_code == 2 and "odd.csv: its columns are a, b. " in result.stderr
+    assert "in [position] and [torque]" in result.stderr and "--columns" in result.stderr
     three = [f"{x}_{i}" for x in ("position", "torque") for i in (1, 2, 3, 4)]
     lines = (",".join([f"{i / 10}", *[str(i)] * 8]) for i in range(9))
     Path("more.csv").write_text("\n".join([",".join(["time", *three]), *lines]))

@@ -1,8 +1,10 @@
 """The process of the command: how it ends."""
 
 import os
+import shlex
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -87,3 +89,45 @@ def test_no_result_is_lost_to_surroundings(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert b"\\u2713" in done.stdout  # a tick
     assert (folder / "results" / "index.html").exists()
+
+
+_COMPILING = """
+import time
+from jaxcslc._processes import processes_beside
+from jaxcslc.codegen._c_function import LONG, CFunction
+
+with processes_beside():
+    assert not CFunction("void nothing(long n) {}", "nothing", (LONG,)).is_kept
+time.sleep(0.2)
+"""
+
+
+def test_a_compiler_that_hangs_ends_with_the_process(tmp_path: Path) -> None:
+    """Whatever it started ends too, and nothing is left where compiled code is kept."""
+    compiler = tmp_path / "cc"
+    compiler.write_text(f"#!/bin/sh\nsleep 987 &\necho $! > {tmp_path}/child\nwait\n")
+    compiler.chmod(0o755)
+    environment = dict(os.environ, CC=str(compiler), XDG_CACHE_HOME=str(tmp_path / "cache"))
+    start = time.monotonic()
+    subprocess.run([sys.executable, "-c", _COMPILING], env=environment, check=True, timeout=60)
+    assert time.monotonic() - start < 20.0  # mostly imports, on a busy machine; not the compiler
+    child = Path("/proc", (tmp_path / "child").read_text().strip(), "status")
+    assert not child.exists() or "zombie" in child.read_text()
+    assert list((tmp_path / "cache" / "jaxcslc").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("redirection", "status", "error"),
+    [
+        (">/dev/full", 2, "jaxcslc: [Errno 28] No space left on device: 'standard output'"),
+        (">&-", 0, ""),
+        ("2>/dev/full >&2", 2, ""),
+    ],
+)
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_or_closed_output_is_named(redirection: str, status: int, error: str) -> None:
+    line = f"{shlex.quote(sys.executable)} -m jaxcslc --help {redirection}"
+    done = subprocess.run(["sh", "-c", line], capture_output=True, text=True, env=dict(os.environ))
+    assert done.returncode == status
+    assert done.stderr.startswith(error) and "Traceback" not in done.stderr
+    assert done.stderr.count("\n") == bool(error)

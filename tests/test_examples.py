@@ -57,7 +57,7 @@ def test_motion_is_within_the_limits_of_the_file(arm: str, tmp_path: Path) -> No
 def test_a_folder_with_files_is_left_as_it_is(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     result = run("example", "panda", "-o", tmp_path)
-    assert result.exit_code == 2 and "expected a new or an empty folder" in result.output
+    assert result.exit_code == 2 and "as mine.txt; expected a new folder" in result.output
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
 
 

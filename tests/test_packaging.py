@@ -32,6 +32,7 @@ COMMON = {
         "_processes",
         "_progress",
         "_rank",
+        "_safe_text",
         "_scratch",
         "_text_table",
     ),

@@ -9,7 +9,7 @@ from importlib.metadata import version
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from ._errors import one_line_errors
+from ._errors import one_line_errors, show
 from ._help import program_text
 from ._options import UsageError, did_you_mean
 from ._process import collect_garbage
@@ -74,15 +74,14 @@ def run(words: Sequence[str] | None = None, *, configure: bool = True) -> int:
     try:
         with one_line_errors() as status:
             if not words or words[0] in ("--help", "--help-all", "-h"):
-                print(program_text(SUMMARIES))
+                show(program_text(SUMMARIES))
             elif words[0] == "--version":
-                print(version("jaxcslc"))
+                show(version("jaxcslc"))
             else:
                 command = command_named(words[0])
                 if configure:
                     _configure()
                 return command.run(words[1:])
-        sys.stdout.flush()
         return status[0] if status else 0
     except BrokenPipeError:  # `head` closes the pipe early
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -13,8 +13,9 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import Annotated, Any, get_type_hints
 
-from .._scratch import check_output_folder
-from ._errors import one_line_errors
+from .._safe_text import printable
+from .._scratch import check_output_folder, check_replaceable
+from ._errors import one_line_errors, show
 from ._help import ALL, help_text
 from ._options import Parameter, UsageError, Values, assign, option, parameters_of, parse
 from ._project import FILE, Project
@@ -51,6 +52,16 @@ class OutputOptions:
     )
 
 
+OverwriteOption = Annotated[
+    bool,
+    option(
+        group="output",
+        help="Replace files that jaxcslc did not write, or that were changed since. Never what is"
+        " read.",
+    ),
+]
+
+
 @dataclasses.dataclass(frozen=True)
 class Output:
     """Result of a command.
@@ -72,9 +83,10 @@ class Output:
             from .._plain_data import plain
 
             document = {"files": [str(path) for path in self.files], **self.data()}
-            print(json.dumps(plain(document), indent=2, ensure_ascii=False))
+            show(json.dumps(plain(document), indent=2, ensure_ascii=False))
         elif not options.quiet:
-            print("\n\n".join([self.text, *([wrote(self.files)] if self.files else [])]))
+            parts = [self.text, *([wrote(self.files)] if self.files else [])]
+            show("\n\n".join(parts))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,16 +135,16 @@ class Context:
         - `estimated`: whether such a line says what is left, as far as it is known.
         """
         from rich.console import Console
+        from rich.text import Text
 
         console = Console(stderr=True)
         if self.output.quiet:
             yield lambda text: None
         elif console.is_terminal:
-            with console.status(first) as status:
-                yield lambda text: status.update(text)
+            with console.status(Text(printable(first))) as status:
+                yield lambda text: status.update(Text(printable(text)))
         else:
-            write: Callable[[str], None] = lambda line: print(line, file=sys.stderr, flush=True)
-            with progress_lines(first, write, passed=PASSED if estimated else {}) as step:
+            with progress_lines(first, _write, passed=PASSED if estimated else {}) as step:
                 yield step
 
     def check_no_robot_options(self, name: str) -> None:
@@ -143,19 +155,27 @@ class Context:
                 shown = parameter.typed if isinstance(value, bool) else parameter.shown_name
                 raise ValueError(f"{shown} is for robots; {name} describes another system")
 
-    def check_output(self, folder: Path, written: Iterable[Path]) -> None:
-        """Check that results can be written.
+    def check_output(
+        self, written: Sequence[Path], *, folder: Path | None = None, read: Iterable[Path] = ()
+    ) -> None:
+        """Check that results can be written, and replace neither what is read nor others' files.
 
-        - `written`: the files that the command writes.
+        - `written`: the files that the command writes, all in one folder.
+        - `folder`: if it is for them alone.
+        - `read`: files, besides those that the command line names.
 
-        **Raises** `ValueError` if they cannot go into a folder, or would replace what is read.
+        **Raises**
+
+        - `ValueError`: if they cannot go there, or would replace what is read.
+        - `FileExistsError`: if they would replace what jaxcslc did not write.
         """
-        check_output_folder(folder)
+        where = written[0].parent if folder is None else folder
+        check_output_folder(where)
         replaced = {path.resolve() for path in written}
-        for name, value in self.values.items():
+        for name, value in [*self.values.items(), ("read", [*read])]:
             entries = value if isinstance(value, list | tuple) else [value]
-            read = [Path(x) for x in entries if isinstance(x, Path) or name == "robot"]
-            for path in read if name != "output" else ():
+            files = [Path(x) for x in entries if isinstance(x, Path) or name == "robot"]
+            for path in files if name != "output" else ():
                 # A folder stands for what identify wrote into it.
                 file = path / "identification.json" if path.is_dir() else path
                 if file.resolve() in replaced:
@@ -163,6 +183,8 @@ class Context:
                         f"{file}: is read, and the results would replace it; expected another"
                         " --output"
                     )
+        names, overwrite = [path.name for path in written], self.values["overwrite"]
+        check_replaceable(where, names, whole=folder is not None, overwrite=overwrite)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -206,12 +228,12 @@ class Command:
         """Run the command, print what comes of it, and return the status of the process."""
         with one_line_errors(self.name, self.page) as status:
             if (group := asked_group(words)) is not None:
-                print(self.help(group))
+                show(self.help(group))
                 return 0
             context = self.context(words)
             output = self.function(context, **self._arguments(context.values))
             if context.project and not (context.output.json or context.output.quiet):
-                print(f"{FILE} makes this: {context.text()}\n")
+                show(f"{FILE} makes this: {context.text()}\n")
             output.print(context.output)
             return output.status
         return status[0]
@@ -331,6 +353,11 @@ def progress_lines(
     finally:
         done.set()
         thread.join()
+
+
+def _write(line: str) -> None:
+    with contextlib.suppress(OSError):  # nobody reads it: no reason to stop
+        print(printable(line), file=sys.stderr, flush=True)
 
 
 def names_in(text: str) -> list[str]:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 from ..report import DerivationReport, coefficient_rows
-from ._common import Context, Output, command
+from ._common import Context, Output, OverwriteOption, command
 from ._inputs import (
     Drives,
     LengthsOption,
@@ -27,13 +27,17 @@ def derive_command(
         Path | None,
         option("-o", "--output", metavar="FOLDER", help="Folder for the tables, as files."),
     ] = None,
+    overwrite: OverwriteOption = False,
 ) -> Output:
     """Derive a robot's inverse dynamics: its inputs, links and named coefficients.
 
     Or separate the unknown constants of another system from its variables.
     """
+    del overwrite
     if output is not None:
-        context.check_output(output, ())
+        names = ("coefficients.csv", "identifiability.csv", "constants.csv")
+        written = [output / name for name in (*names, "tables.json", "system.json")]
+        context.check_output(written, folder=output)
     if is_system(robot):
         from ..systems import load_system, save_derivation  # robots need not wait for it
 

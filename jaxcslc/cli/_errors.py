@@ -6,6 +6,7 @@ import sys
 from collections.abc import Generator, Mapping
 from types import TracebackType
 
+from .._safe_text import printable
 from ._help import page_address
 from ._options import UsageError
 
@@ -60,8 +61,22 @@ def one_line_errors(name: str = "", page: str = "command") -> Generator[list[int
             where = " ".join(["jaxcslc", *([name] if name else []), "--help"])
         else:
             where = page_address(_page_of(error.__traceback__) or page)
-        print(f"jaxcslc: {message} ({where})", file=sys.stderr)
+        with contextlib.suppress(OSError):  # nobody reads it
+            print(printable(f"jaxcslc: {message} ({where})"), file=sys.stderr, flush=True)
         status.append(2)
+
+
+def show(text: str) -> None:
+    """Print a text on standard output, at once.
+
+    **Raises** `OSError`, which names it, if it cannot be written: a full disk.
+    """
+    try:
+        print(printable(text), flush=True)
+    except BrokenPipeError:  # `head` closes the pipe early
+        raise
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, "standard output") from None
 
 
 def _page_of(trace: TracebackType | None) -> str | None:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from ._common import Context, Output, command
+from ._common import Context, Output, OverwriteOption, command
 from ._options import argument, option
 
 
@@ -22,16 +22,19 @@ def example_command(
             help="New folder for the files. By default named as the arm.",
         ),
     ] = None,
+    overwrite: OverwriteOption = False,
 ) -> Output:
     """Write a robot file and two simulated logs to try the other commands on.
 
     The logs are in the format of the arm's own software. truth.json holds the true coefficients.
     """
+    from .._scratch import check_output_folder
     from ..examples import write_example
 
     del context
     folder = Path(arm) if output is None else output
-    example = write_example(arm, folder)
+    check_output_folder(folder)
+    example = write_example(arm, folder, overwrite=overwrite)
     files = (example.robot, example.train, example.validation, example.truth)
     commands = next_commands(folder, example.robot.name)
     names = ", ".join(path.name for path in files)

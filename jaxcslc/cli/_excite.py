@@ -25,7 +25,7 @@ from ..manipulator import Manipulator
 from ..network import CSLC
 from ..recordings import Sampling
 from ..report import load_report
-from ._common import Context, Output, command, names_in
+from ._common import Context, Output, OverwriteOption, command, names_in
 from ._inputs import (
     ColumnsOption,
     Drives,
@@ -58,7 +58,10 @@ class MotionOptions:
             help="CSV file of the motion; .yaml, .json, .h and .html go next to it.",
         ),
     ] = Path("motion.csv")
-    duration: Annotated[float, option(metavar="SECONDS", help="Length of the motion.")] = 10.0
+    overwrite: OverwriteOption = False
+    duration: Annotated[
+        float, option(metavar="SECONDS", above=0.0, help="Length of the motion.")
+    ] = 10.0
     limits: LimitsOption = None
     previous: Annotated[
         Path | None,
@@ -89,6 +92,7 @@ class MotionOptions:
         option(
             group="goal",
             metavar="KG",
+            least=0,
             help="Design for identifying a payload of about this mass at the last link. Parameters"
             " of the arm from --previous count as known.",
         ),
@@ -100,6 +104,7 @@ class MotionOptions:
             "--reach",
             group="goal",
             metavar="PERCENT",
+            above=0.0,
             help="Target standard error, of the value or, if that is larger, of what makes 1 % of a"
             " joint's torque. Does nothing if it is already met.",
         ),
@@ -135,6 +140,7 @@ class MotionOptions:
         option(
             group="motion",
             metavar="HZ",
+            above=0.0,
             help="Samples per second of motion and recording. By default that of --previous, or"
             " 500.",
         ),
@@ -204,10 +210,9 @@ class MotionOptions:
     ] = None
 
     def __post_init__(self) -> None:
-        self.stated_noise()
+        noise: dict[str, Any] = {"torque": 1.0, **self.stated_noise()}
+        Noise(**noise)  # raises what is wrong with it
         self.start_pose()
-        if self.target is not None and not self.target > 0.0:
-            raise UsageError(f"--target: expected more than 0 %, got {self.target:g}")
         if self.previous is not None and self.recorded:
             raise UsageError("--previous and --recorded: expected one of them")
 
@@ -255,7 +260,7 @@ def excite_command(
         folder = options.output.parent
         if not folder.is_dir():
             raise ValueError(f"{folder}: no such folder")
-        context.check_output(folder, design_files(options.output))
+        context.check_output(design_files(options.output))
         arm = part.read(robot)
         before = _before(arm, options, columns, lambda: drives.network(arm, lengths), step)
         names = None if options.parameters is None else names_in(options.parameters)

@@ -4,11 +4,11 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated
 
-from ..export import CCode, c_code, export_robot, write_c
+from ..export import CCode, c_code, export_robot, motor_file, write_c
 from ..report import Report, load_report
-from ._common import Context, Output, command
+from ._common import Context, Output, OverwriteOption, command
 from ._inputs import BUNDLED, RobotArgument, RobotPart, with_notes
-from ._options import argument, option
+from ._options import UsageError, argument, option
 
 
 @command(
@@ -43,7 +43,7 @@ def export_command(
             " motor_inertia in TOML, armature in MJCF, in NAME.motors.toml next to a URDF.",
         ),
     ] = True,
-    overwrite: Annotated[bool, option(help="Let the output be the robot's own file.")] = False,
+    overwrite: OverwriteOption = False,
     force: Annotated[
         bool, option(help="Export a result whose verdict is not to rely on it.")
     ] = False,
@@ -57,25 +57,29 @@ def export_command(
     C code has the identified coefficients as they are, and the states of pre-sliding friction where
     identify used them.
     """
+    del overwrite
     with context.progress("reading") as step:
         bundled = files("jaxcslc.manipulator") / "robots" / f"{robot}.toml"
         file = Path(str(bundled)) if robot in BUNDLED else Path(robot)
         path = Path(f"{file.stem}_identified{file.suffix}") if output is None else output
-        if not c and not overwrite and path.exists() and file.exists() and path.samefile(file):
-            raise ValueError(f"{path}: is the robot's own file; expected another, or --overwrite")
+        suffix = ".c" if c else file.suffix.lower()
+        if output is not None and output.suffix.lower() != suffix:
+            raise UsageError(f"{output}: expected a name ending in {suffix}")
+        if not c:
+            context.check_output([path, motor_file(path)], read=[file])
+        elif output is not None:
+            context.check_output([output, output.with_suffix(".h")], read=[file])
         saved = load_report(identification, part.read(str(file)))
-        if (objections := saved.objections) and not force:
-            raise ValueError(
-                f"{identification}: its verdict is not to rely on it: {objections[0]} Expected a"
-                " result without ✗, or --force"
-            )
+        if not force:
+            _check_verdict(saved, identification)
         if c:
             step("writing C")
             code, note = _c_code(saved)
-            written = write_c(code, output)
+            if output is None:
+                context.check_output([Path(f"{code.name}{suffix}") for suffix in (".c", ".h")])
+            paths = write_c(code, output)
             counts = ", ".join(f"{name} {count}" for name, count in code.operations.items())
-            text, paths = f"operations: {counts}{note}", written
-            data = {"operations": code.operations}
+            text, data = f"operations: {counts}{note}", {"operations": code.operations}
         else:
             exported = export_robot(
                 saved.network,
@@ -89,6 +93,15 @@ def export_command(
             text = str(exported) + _pre_sliding(saved, "is omitted: Coulomb friction is a step")
             data, paths = {"files": [str(path)], "warnings": exported.warnings}, ()
     return Output(with_notes(text, saved.network.robot), lambda: data, paths)
+
+
+def _check_verdict(saved: Report, identification: Path) -> None:
+    """**Raises** `ValueError` for a result that is not to be relied on."""
+    if objections := saved.objections:
+        raise ValueError(
+            f"{identification}: its verdict is not to rely on it: {objections[0]} Expected a"
+            " result without ✗, or --force"
+        )
 
 
 def _c_code(saved: Report) -> tuple[CCode, str]:

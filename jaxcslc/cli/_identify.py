@@ -13,14 +13,22 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from .._environment import require
 from .._processes import processes_beside
 from ..bodies import load_prior
-from ..identification import identify
+from ..identification import (
+    BODIES,
+    ESTIMATORS,
+    LIKELIHOOD,
+    OFFSETS,
+    PREVIOUS,
+    SEVERAL,
+    identify,
+)
 from ..least_squares import fit_fleet_on_cluster, fit_on_cluster
 from ..likelihood import MaximumLikelihood
 from ..manipulator import Manipulator
 from ..network import CSLC
-from ..report import Report, load_report, load_settings, replaced_files
+from ..report import Report, all_or_nothing, load_report, load_settings, replaced_files
 from ..selection import choose_settings
-from ._common import Context, Output, command, names_in
+from ._common import Context, Output, OverwriteOption, command, names_in
 from ._inputs import (
     Drives,
     LengthsOption,
@@ -52,6 +60,7 @@ class IdentifyOptions:
         option(help="Recording to judge the fit on; it is not fitted."),
     ] = None
     output: OutputOption = Path("identified")
+    overwrite: OverwriteOption = False
     quality: Annotated[
         Literal["fast", "best"],
         option(
@@ -117,6 +126,7 @@ class IdentifyOptions:
         option(
             group="estimator",
             metavar="GB",
+            above=0.0,
             help="Memory budget. For longer recordings, settings are chosen on a part, which the"
             " report names.",
         ),
@@ -184,6 +194,16 @@ class IdentifyOptions:
             )
         if self.fleet and self.dask is None:
             raise UsageError("--fleet: only with --dask")
+        name, supported = _estimator(self), ESTIMATORS[_estimator(self)].supports
+        for option_name, given, feature in (
+            ("--offsets", self.offsets, OFFSETS),
+            ("--ml-spacing", self.ml_spacing is not None, LIKELIHOOD),
+            ("--physical always", self.physical == "always", BODIES),
+            ("--previous", self.previous is not None, PREVIOUS),
+            ("several recordings", len(self.train) > 1 and self.dask is None, SEVERAL),
+        ):
+            if given and feature not in supported:
+                raise UsageError(f"{option_name}: not with the estimator {name}")
 
 
 # Fits of a fleet that are printed; all are in the file.
@@ -191,7 +211,7 @@ _PRINTED = 20
 # What `identify` does on a cluster besides fitting is to read, prepare and settings.
 _OF_CLUSTER = {
     *(field.name for kind in (RobotPart, Drives, RecordingOptions) for field in fields(kind)),
-    *("robot", "lengths", "train", "output", "settings", "torque", "dask", "fleet"),
+    *("robot", "lengths", "train", "output", "overwrite", "settings", "torque", "dask", "fleet"),
     *("json", "quiet"),
 }
 
@@ -218,12 +238,15 @@ def identify_command(
         drives = dataclasses.replace(drives, friction="auto")
     known = _estimator(options) == "least-squares"  # the time that it takes
     with context.progress("reading", estimated=known) as step, processes_beside():
-        context.check_output(options.output, replaced_files(options.output))
         if options.dask is not None:
             _check_cluster_options(context, robot, options)
+            paths = _recordings_of(options.train)
+            name = "fleet.csv" if options.fleet else "fit.json"
+            context.check_output([options.output / name], folder=options.output, read=paths)
             arm = part.read(robot)
             network = drives.network(arm, options.lengths)
-            return _identified_on_cluster(network, options, recordings, step)
+            return _identified_on_cluster(network, paths, name, options, recordings, step)
+        context.check_output(replaced_files(options.output), folder=options.output)
         if is_system(robot):
             context.check_no_robot_options(robot)
             report = _identified_system(robot, options, step)
@@ -231,8 +254,12 @@ def identify_command(
             report = _identified(context, part.read(robot), options, drives, recordings, step)
         step("writing")
         paths = report.save(options.output, command=context.text())
-    documents = lambda: {"verdict": report.verdict, **report.documents(charts=False)[paths[0].name]}
-    return Output(str(report), documents, paths)
+
+    def data() -> dict[str, Any]:
+        (document,) = report.documents(charts=False).values()
+        return {"verdict": report.verdict, **document}
+
+    return Output(str(report), data, paths)
 
 
 def _estimator(options: IdentifyOptions) -> str:
@@ -308,18 +335,26 @@ def _identified_system(
     )
 
 
+def _recordings_of(patterns: list[Path]) -> list[Path]:
+    """Return the files that patterns name."""
+    paths: list[Path] = []
+    for pattern in map(str, patterns):
+        if not (matching := sorted(glob.glob(pattern))):
+            raise ValueError(f"{pattern}: no such file; expected recordings")
+        paths += map(Path, matching)
+    return paths
+
+
 def _identified_on_cluster(
     network: CSLC,
+    paths: list[Path],
+    name: str,
     options: IdentifyOptions,
     recordings: RecordingOptions,
     step: Callable[[str], None],
 ) -> Output:
     """Identify from many recordings on a cluster, and write the result."""
-    paths: list[Path] = []
-    for pattern in map(str, options.train):
-        if not (matching := sorted(glob.glob(pattern))):
-            raise ValueError(f"{pattern}: no such file; expected recordings")
-        paths += map(Path, matching)
+    file = options.output / name
     read = functools.partial(recordings.read, robot=network.robot, torque=options.torque)
     if options.settings is None:
         step("choosing settings on the first recording")
@@ -333,15 +368,14 @@ def _identified_on_cluster(
         arguments: dict[str, Any] = {"client": client, "read": read, "progress": step}
         if options.fleet:
             fit = fit_fleet_on_cluster(network, paths, settings, **arguments)
-            file, text = options.output / "fleet.csv", _fleet_text(fit.rows())
+            text = _fleet_text(fit.rows())
             data: Callable[[], Any] = lambda: {"fits": fit.rows()}
         else:
             fit = fit_on_cluster(network, paths, settings, **arguments)
-            file = options.output / "fit.json"
             text = f"{fit}\n\n{settings}\n{len(paths)} recordings"
             data = lambda: json.loads(file.read_text(encoding="utf-8"))
-    options.output.mkdir(parents=True, exist_ok=True)
-    fit.save(file)
+    with all_or_nothing(options.output) as scratch:
+        fit.save(scratch / name)
     return Output(text, data, [file])
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from .._scratch import unfinished
+from .._toml_document import toml_document
 from ..checks import DataCheck, check
 from ..manipulator import Manipulator, RobotError
 from ..network import derive
@@ -20,7 +21,7 @@ from ..recordings import (
     load_recording,
 )
 from ._common import Context, Output, command
-from ._inputs import RecordingOptions, RobotPart, recording_of
+from ._inputs import ColumnsOption, RecordingOptions, RobotPart, recording_of
 from ._options import argument, option
 from ._project import FILE
 
@@ -29,6 +30,7 @@ Entries = dict[str, Any]
 
 # A correction of the mapping as a finding of the check states it.
 _CORRECTION = re.compile(r'\[(\w+)\] (\w+) = ("[^"]*"|\[[\d., -]*\])')
+_SHOWN = 20  # names of columns in a message
 _OPTION = re.compile(r"--(decimate|period|torque-lag) ([\d.e-]+)")
 
 
@@ -45,12 +47,13 @@ class Decisions:
         self.entries |= entries
 
 
-@command("command", "init arm.urdf log.csv", "init arm.urdf log.csv --fix gripper")
+@command("command", "init arm.urdf log.csv", "init arm.urdf log.csv --columns columns.toml")
 def init_command(
     context: Context,
     file: Annotated[str, argument("ROBOT", "Robot file (.toml, .urdf, .xml).")],
     log: Annotated[Path, argument("LOG", "Recording of the robot.")],
     part: RobotPart,
+    columns: ColumnsOption = None,
     overwrite: Annotated[bool, option(help=f"Replace a {FILE} that is there.")] = False,
 ) -> Output:
     """Write jaxcslc.toml, which says once what every command needs about a robot and its logs.
@@ -64,7 +67,7 @@ def init_command(
     found = Decisions({"robot": file}, [])
     with context.progress("reading") as step:
         robot, part = _robot(file, part, found)
-        mapping = _mapping(log, robot, found)
+        mapping = _mapping(log, columns, robot, found)
         robot = _with_joints_of_log(file, log, robot, part, mapping, found)
         step("checking")
         page = _corrected(log, robot, mapping, found)
@@ -103,16 +106,25 @@ def _robot(file: str, part: RobotPart, found: Decisions) -> tuple[Manipulator, R
     return robot, part
 
 
-def _mapping(log: Path, robot: Manipulator, found: Decisions) -> Entries:
+def _mapping(log: Path, stated: Path | None, robot: Manipulator, found: Decisions) -> Entries:
     """Return the mapping of the log's columns: empty where its format says everything."""
+    if stated is not None:
+        mapping = toml_document(stated, "file of column names", RecordingError)
+        ColumnMapping.of(mapping, str(stated))
+        found.decide("columns", f"as {stated} says (columns)")
+        return mapping
     try:
         load_recording(log)
-    except RecordingError as error:
+    except RecordingError:
         names = column_names_of(log)
         mapping = guessed_mapping(names, _names(robot))
         if mapping is None:
+            more = ", ..." if len(names) > _SHOWN else ""
             raise ValueError(
-                f"{error}; or columns in [position] and [torque] of a file of --columns"
+                f"{log}: its columns are {', '.join(names[:_SHOWN])}{more}. No names of positions"
+                ' and torques are among them. Write "columns = [...]" with one name per joint in'
+                " [position] and [torque], and that of the time in [time], into a file for"
+                " --columns"
             ) from None
         for quantity in ("time", "position", "velocity", "torque"):
             if (table := mapping.get(quantity)) is not None:
@@ -136,7 +148,11 @@ def _with_joints_of_log(
 ) -> Manipulator:
     """Return the robot with joints fixed that the log does not have."""
     names = _names(robot)
-    recording = load_recording(log, columns=_columns(mapping))
+    columns = _columns(mapping)
+    joints = None
+    if columns is not None and columns.patterns:
+        joints = columns.joints_in(column_names_of(log), names)
+    recording = load_recording(log, joints, columns)
     count = recording.joints
     have = recording.joint_names or tuple(names[:count])
     if recording.joint_names is None and count > len(names):
@@ -174,7 +190,9 @@ def _corrected(log: Path, robot: Manipulator, mapping: Entries, found: Decisions
             value = tomllib.loads(f"value = {text}")["value"]
             entries = mapping.setdefault(table, {})
             if key == "sign" and key in entries:  # of another joint
-                value = [a * b for a, b in zip(value, entries[key], strict=True)]
+                value = [
+                    a * b for a, b in zip(value, _listed(entries[key], len(value)), strict=True)
+                ]
             entries[key] = value
             found.decide("columns", f"{one.cause} (columns.{table}.{key})")
         for name, text in _OPTION.findall(one.remedy):
@@ -195,6 +213,10 @@ def _corrected(log: Path, robot: Manipulator, mapping: Entries, found: Decisions
     page = check(network, recording, [str(log)])
     left = [one for one in page.findings if lag is None or one.kind != "torque lag"]
     return dataclasses.replace(page, findings=tuple(left))
+
+
+def _listed(value: Any, count: int) -> list[Any]:
+    return value if isinstance(value, list) else [value] * count
 
 
 def _text(entries: Mapping[str, Any], file: str, log: Path) -> str:

@@ -253,6 +253,7 @@ class RecordingOptions:
         option(
             group="recordings",
             metavar="SECONDS",
+            above=0.0,
             help="Restore the times of samples, of an even clock of this period.",
         ),
     ] = None
@@ -322,6 +323,8 @@ def _two_numbers(text: str) -> tuple[float, float]:
         start, end = (float(part) for part in text.split(","))
     except ValueError:
         raise UsageError(f"--between: expected START,END in s, as in 0,8.5, got {text!r}") from None
+    if not start < end:
+        raise UsageError(f"--between: expected START before END, got {text!r}")
     return start, end
 
 

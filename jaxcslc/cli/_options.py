@@ -9,6 +9,7 @@ import dataclasses
 import difflib
 import functools
 import inspect
+import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -35,7 +36,7 @@ class Option:
       the parameter.
     - `metavar`: its value, as help shows it.
     - `group`: of the help that shows it; empty for the options that everybody sees.
-    - `least`: the smallest number that it takes.
+    - `least`: the smallest number that it takes; `above`: the number that it must exceed.
     - `flags`: names of before that stand for one of its values, with that value.
     - `renamed`: values of before, each with that of now.
     - `positional`: whether it is an argument.
@@ -46,6 +47,7 @@ class Option:
     metavar: str = ""
     group: str = ""
     least: int | None = None
+    above: float | None = None
     flags: tuple[tuple[str, str], ...] = ()
     renamed: tuple[tuple[str, str], ...] = ()
     positional: bool = False
@@ -133,13 +135,15 @@ class Parameter:
             raise self.wrong(f"expected {', '.join(self.choices)}, got {text!r}")
         if self.item not in _NUMBERS:
             return text if self.choices else self.item(text)
-        least = self.option.least
+        least, above = self.option.least, self.option.above
         expected = _NUMBERS[self.item] + ("" if least is None else f" from {least} on")
+        expected += "" if above is None else f" above {above:g}"
         try:
             value = self.item(text)
         except ValueError:
             raise self.wrong(f"expected {expected}, got {text!r}") from None
-        if least is not None and not value >= least:
+        small = (least is not None and value < least) or (above is not None and value <= above)
+        if small or not math.isfinite(value):
             raise self.wrong(f"expected {expected}, got {text!r}")
         return value
 

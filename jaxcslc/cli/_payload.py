@@ -7,7 +7,7 @@ from typing import Annotated
 from ..identification import identify_torque_constants
 from ..payload import identify_payload
 from ..report import load_report, load_settings
-from ._common import Context, Output, command
+from ._common import Context, Output, OverwriteOption, command
 from ._inputs import (
     ColumnsOption,
     Drives,
@@ -37,12 +37,15 @@ def payload_command(
         ),
     ] = None,
     output: OutputOption = Path("payload"),
+    overwrite: OverwriteOption = False,
     settings: SettingsOption = None,
     columns: ColumnsOption = None,
 ) -> Output:
     """Identify a payload: its mass, centre of gravity and inertia, in the last link's frame."""
+    del overwrite
     with context.progress("reading") as step:
-        context.check_output(output, [output / "payload.csv", output / "payload.json"])
+        written = [output / "payload.csv", output / "payload.json"]
+        context.check_output(written, folder=output)
         saved = load_report(previous, part.read(robot))
         arm = saved.network.robot
         carrying = recording_of(loaded, arm, columns)
@@ -69,7 +72,7 @@ def torque_constants_command(
     robot: RobotArgument,
     unloaded: Annotated[Path, argument("UNLOADED", "Recording of the arm without payload.")],
     loaded: Annotated[Path, argument("LOADED", "Recording of the arm carrying the payload.")],
-    mass: Annotated[float, option(metavar="KG", help="Mass of the payload.")],
+    mass: Annotated[float, option(metavar="KG", above=0.0, help="Mass of the payload.")],
     part: RobotPart,
     drives: Drives,
     columns: ColumnsOption = None,

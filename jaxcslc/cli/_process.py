@@ -61,8 +61,9 @@ def _end() -> None:
     if not _STATUS:
         return
     try:
-        sys.stdout.flush()
-        sys.stderr.flush()
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:  # closed by whoever started the process
+                stream.flush()
     except OSError:  # nobody reads any more, of which Python itself tells
         return
     os._exit(_STATUS[0])

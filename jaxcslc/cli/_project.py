@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from .._safe_text import printable
 from .._toml_document import toml_document
 from ._options import Parameter, UsageError, Values
 
@@ -49,7 +50,8 @@ class Project:
         if words and _names_robot(words[0]):
             same = robot is None or Path(words[0]).absolute() == Path(robot).absolute()
             if not same:
-                print(f"note: {FILE} is about {robot}; not used for {words[0]}", file=sys.stderr)
+                note = f"note: {FILE} is about {robot}; not used for {words[0]}"
+                print(printable(note), file=sys.stderr)
             return (others if same else {}), list(words)
         if robot is None and words:
             raise UsageError(

@@ -5,18 +5,22 @@ and checks every array that it hands to C. `jaxcslc._cache` says where compiled 
 what is checked of it.
 """
 
+import atexit
+import contextlib
 import ctypes
 import hashlib
 import os
 import platform
 import shlex
 import shutil
+import signal
 import subprocess
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from threading import Thread
+from threading import Lock, Thread
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -29,8 +33,10 @@ from .._processes import allows_processes
 _OPTIONS = ("-O3", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
 # What makes a compiler use all that this processor has, by the compiler.
 _OF_PROCESSOR = (("-march=native",), ("-mcpu=native",), ())
-# A generated program of a thousand lines takes one or two seconds.
-_LONGEST_SECONDS = 120.0
+# A generated program of a thousand lines takes one or two seconds on a processor of its own.
+_LONGEST_SECONDS = 30.0
+# That the end of a process waits for what is compiled for later ones, mostly while it works itself.
+_AT_END_SECONDS = 1.0
 _SUFFIX = ".so"
 
 LONG = ctypes.c_long
@@ -139,8 +145,8 @@ class CFunction:
     def is_kept(self) -> bool:
         """True if it can be called without waiting for a compiler.
 
-        If not, a thread begins to compile it for a later process, which the end of this one waits
-        for: only in programs that allow processes beside them.
+        If not, a thread begins to compile it for a later process: only in programs that allow
+        processes beside them. The end of this one waits a second for it, and stops it then.
         """
         return _kept_library(self.source, self.options, _compiler()) is not None
 
@@ -206,7 +212,7 @@ def _library(source: str, options: tuple[str, ...], compiler: str) -> ctypes.CDL
         if loaded is not None:
             return loaded
         return make_kept(key, _SUFFIX, partial(_compile, source, command), _loaded)
-    except (OSError, subprocess.TimeoutExpired):
+    except OSError:
         return None
 
 
@@ -215,7 +221,9 @@ def _kept_library(source: str, options: tuple[str, ...], compiler: str) -> ctype
     command, key = _command(source, options, compiler)
     loaded = load_kept(key, _SUFFIX, _loaded) if command else None
     if command and loaded is None and allows_processes():
-        Thread(target=_library, args=(source, options, compiler)).start()
+        thread = Thread(target=_library, args=(source, options, compiler), daemon=True)
+        _BESIDE.add(thread)
+        thread.start()
     return loaded
 
 
@@ -251,11 +259,67 @@ def _compile(source: str, command: list[str], library: Path) -> bool:
     text = library.with_suffix(".c")
     text.write_text(source)
     for of_processor in _OF_PROCESSOR:
-        arguments = [*command, *of_processor, text, "-o", library, "-lm"]
-        done = subprocess.run(arguments, capture_output=True, check=False, timeout=_LONGEST_SECONDS)
-        if done.returncode == 0:
+        status = _RUNNING.run([*command, *of_processor, text, "-o", library, "-lm"])
+        if status is None:
+            break
+        if status == 0:
             return True
     return False
+
+
+class _Compilers:
+    """Compilers that run, with the processes that they started, and the end of all of them."""
+
+    def __init__(self) -> None:
+        self._processes: set[subprocess.Popen[bytes]] = set()
+        self._lock, self._ended = Lock(), False
+
+    def run(self, command: Sequence[str | Path]) -> int | None:
+        """Return the status of a command; None if it took too long, or was ended."""
+        nothing = subprocess.DEVNULL
+        with self._lock:
+            if self._ended:
+                return None
+            process = subprocess.Popen(
+                command, stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True
+            )
+            self._processes.add(process)
+        try:
+            status = process.wait(_LONGEST_SECONDS)
+        except subprocess.TimeoutExpired:
+            return None
+        finally:
+            self._processes.discard(process)
+            _end(process)
+        return None if self._ended else status
+
+    def end(self) -> None:
+        with self._lock:
+            self._ended = True
+            for process in [*self._processes]:
+                _end(process)
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    """End a process and those of its session, if it has not ended."""
+    if process.poll() is None:
+        with contextlib.suppress(OSError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+_RUNNING = _Compilers()
+_BESIDE: set[Thread] = set()
+
+
+@atexit.register
+def _end_all() -> None:
+    until = time.monotonic() + _AT_END_SECONDS
+    for thread in _BESIDE:
+        thread.join(max(until - time.monotonic(), 0.0))
+    _RUNNING.end()
+    for thread in _BESIDE:
+        thread.join()  # which only removes its scratch now
 
 
 @lru_cache(maxsize=1)

@@ -154,43 +154,46 @@ ARMS: Mapping[str, Arm] = {
 """Arms of `jaxcslc example` by name."""
 
 
-def write_example(arm: str, folder: str | Path) -> Example:
+def write_example(arm: str, folder: str | Path, *, overwrite: bool = False) -> Example:
     """Write an arm's robot file, two simulated logs and the truth into a new folder.
 
-    The logs are in the format of the arm's own software: RTDE (`ur5`), libfranka (`panda`), or a
-    table of jaxcslc (`puma560`). They are the same in every run.
+    Into one that it wrote before, too: files that were not changed since are replaced. The logs
+    are in the format of the arm's own software: RTDE (`ur5`), libfranka (`panda`), or a table of
+    jaxcslc (`puma560`). They are the same in every run.
 
     **Arguments**
 
     - `arm`: a key of `ARMS`.
     - `folder`: new or empty.
+    - `overwrite`: whether to replace files that it did not write, too.
 
     **Raises**
 
     - `ValueError`: if there is no such arm.
-    - `FileExistsError`: if the folder has files.
+    - `FileExistsError`: if the folder has other files.
 
     >>> import tempfile, jaxcslc as jc
     >>> example = jc.examples.write_example("ur5", tempfile.mkdtemp())
     >>> jc.load_recording(example.train, joints=6).position.shape
     (2500, 6)
     """
-    from ..manipulator import load_robot, puma560
-    from ..network import derive
+    from .._scratch import all_or_nothing, check_replaceable
 
     if arm not in ARMS:
         raise ValueError(f"there is no example {arm!r}; expected one of {', '.join(ARMS)}")
     folder = Path(folder)
-    if folder.is_dir() and any(folder.iterdir()):
-        raise FileExistsError(f"{folder}: has files already; expected a new or an empty folder")
-    folder.mkdir(parents=True, exist_ok=True)
+    names = (ARMS[arm].file, "train.csv", "validation.csv", "truth.json")
+    check_replaceable(folder, names, overwrite=overwrite)
+    with all_or_nothing(folder) as scratch:
+        _write_files(arm, Example(*(scratch / name for name in names)))
+    return Example(*(folder / name for name in names))
+
+
+def _write_files(arm: str, result: Example) -> None:
+    from ..manipulator import load_robot, puma560
+    from ..network import derive
+
     chosen = ARMS[arm]
-    result = Example(
-        folder / chosen.file,
-        folder / "train.csv",
-        folder / "validation.csv",
-        folder / "truth.json",
-    )
     source = files("jaxcslc") / ("manipulator/robots" if arm == "puma560" else "examples/robots")
     with as_file(source / chosen.file) as path:
         shutil.copyfile(path, result.robot)
@@ -220,7 +223,6 @@ def write_example(arm: str, folder: str | Path) -> Example:
         "links": [_entries(link) for link in links],
     }
     result.truth.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-    return result
 
 
 def read_truth(example: Example, network: CSLC) -> Float[np.ndarray, " coefficients"]:

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .._scratch import unfinished
+from .._safe_text import csv_line
+from .._scratch import all_together
 from ..codegen import comment_text, identifier
 from ..manipulator import joint_lines, link_poses
 from ..network import CSLC
@@ -314,8 +315,8 @@ def save_design(
         c_text(network, time, motion[0]),
         design_page(design, command),
     )
-    for target, text in zip(paths, texts, strict=True):
-        with unfinished(target) as file:
+    with all_together(paths) as files:
+        for file, text in zip(files, texts, strict=True):
             file.write_text(text, encoding="utf-8", errors="backslashreplace")
     return paths
 
@@ -351,7 +352,7 @@ def csv_text(network: CSLC, time: Time, q: Samples, qd: Samples, qdd: Samples) -
     """Return a motion as a table."""
     quantities = ("position", "velocity", "acceleration")
     names = [f"{quantity}_{name}" for quantity in quantities for name in network.output_labels]
-    lines = [",".join(["time", *names])]
+    lines = [csv_line(["time", *names])]
     for row in np.column_stack([time, q, qd, qdd]):
         lines.append(",".join(f"{value:.10g}" for value in row))
     return "\n".join(lines) + "\n"

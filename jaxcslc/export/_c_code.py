@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._scratch import unfinished
+from .._scratch import all_together
 from ..codegen import (
     Expressions,
     KernelText,
@@ -502,7 +502,7 @@ def write_c(code: CCode, path: str | Path | None = None) -> tuple[Path, Path]:
     # The source includes its header by name.
     text = code.source.replace(f'#include "{code.name}.h"', f'#include "{header.name}"')
     source.parent.mkdir(parents=True, exist_ok=True)
-    with unfinished(header) as header_file, unfinished(source) as source_file:
+    with all_together([header, source]) as (header_file, source_file):
         header_file.write_text(code.header, encoding="ascii")
         source_file.write_text(text, encoding="ascii")
     return source, header

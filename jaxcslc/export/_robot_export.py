@@ -4,7 +4,6 @@
 into a copy of the robot's file. `_parameter_files` edits the text.
 """
 
-import contextlib
 import dataclasses
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._scratch import all_together, hidden_beside
 from .._text_table import text_table
 from ..bodies import (
     PhysicalParameters,
@@ -134,24 +134,21 @@ def write_robot(
     slopes = _slopes(network, filed) if source.format == "toml" else {}
     text = with_parameters(robot, parameters, original.read_bytes(), stored=stored, slopes=slopes)
     path.parent.mkdir(parents=True, exist_ok=True)
-    # In the same folder, from which the file may name others; whole and readable, or not at all.
-    scratch = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
-        scratch.write_bytes(text)
-        written = load(scratch)
+        # In the same folder, from which the file may name others; readable, or not at all.
+        with hidden_beside(path) as scratch:
+            try:
+                scratch.write_bytes(text)
+                written = load(scratch)
+            except RobotError as error:
+                raise RobotError(str(error).replace(str(scratch), str(path))) from None
         if written.links is None:
             notes = "" if written.source is None else "; ".join(written.source.notes)
             raise RobotError(f"its links still have no parameters: {notes}")
-        scratch.replace(path)
-    except RobotError as error:
-        raise RobotError(str(error).replace(str(scratch), str(path))) from None
+        motors = _write(path, text, source, parameters)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from None
-    finally:
-        with contextlib.suppress(OSError):
-            scratch.unlink(missing_ok=True)
     again = load(path)
-    motors = _write_motors(path, source, parameters)
     q, qd, qdd = random_states(network.joint_count) if states is None else states
     kinds = [kind for kind in ("viscous", "dry") if kind in stored and kind in parameters.friction]
     file_network = derive(again, lengths=network.algebra.lengths)
@@ -217,15 +214,20 @@ def _slopes(network: CSLC, filed: Manipulator) -> dict[int, float]:
     }
 
 
-def _write_motors(path: Path, source: Source, parameters: PhysicalParameters) -> Path | None:
-    """Write a URDF's motor inertias if there are any, and return the file; remove an older one."""
-    if source.format != "urdf":
-        return None
+def _write(path: Path, text: bytes, source: Source, parameters: PhysicalParameters) -> Path | None:
+    """Write a robot file and, of a URDF that has some, motor inertias, whose file is returned.
+
+    An older file of motor inertias is removed.
+    """
     inertias = [float(link.motor_inertia) for link in parameters.links]
-    if any(inertias):
-        return write_motor_inertias(path, dict(zip(source.joints, inertias, strict=True)))
-    motor_file(path).unlink(missing_ok=True)
-    return None
+    has_motors = source.format == "urdf" and any(inertias)
+    with all_together([path, motor_file(path)]) as (robot, _):
+        robot.write_bytes(text)
+        if has_motors:
+            write_motor_inertias(robot, dict(zip(source.joints, inertias, strict=True)))
+    if source.format == "urdf" and not has_motors:
+        motor_file(path).unlink(missing_ok=True)
+    return motor_file(path) if has_motors else None
 
 
 def _left_out(network: CSLC, stored: tuple[str, ...]) -> tuple[str, ...]:

@@ -10,6 +10,13 @@ recordings ──► Problem ──► estimators ──► judgement ──► 
 """
 
 from ._estimator import AbstractEstimator as AbstractEstimator, Fit as Fit
+from ._exclusions import (
+    BODIES as BODIES,
+    LIKELIHOOD as LIKELIHOOD,
+    OFFSETS as OFFSETS,
+    PREVIOUS as PREVIOUS,
+    SEVERAL as SEVERAL,
+)
 from ._identify import ESTIMATORS as ESTIMATORS, identify as identify
 from ._least_squares import Regression as Regression, SimulatedMotion as SimulatedMotion
 from ._likelihood import Likelihood as Likelihood

@@ -4,7 +4,6 @@ Workers derive the network again and return triangular factors (`_factors`, `_st
 """
 
 import contextlib
-import csv
 import dataclasses
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
@@ -15,6 +14,7 @@ import jax
 import numpy as np
 
 from .._environment import require, require_float64
+from .._safe_text import csv_line
 from .._scratch import unfinished
 from ..manipulator import Manipulator, Mimic
 from ..network import CSLC, RigidBodyTables, derive
@@ -276,7 +276,7 @@ class Fleet:
             unfinished(Path(path)) as file,
             file.open("w", newline="", encoding="utf-8", errors="backslashreplace") as text,
         ):
-            csv.writer(text).writerows(lines)
+            text.writelines(f"{csv_line(line)}\r\n" for line in lines)
 
 
 def _solver(settings: Settings | None) -> LeastSquares:

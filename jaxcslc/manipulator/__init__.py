@@ -50,6 +50,7 @@ from ._placement import Axis as Axis, modified_dh as modified_dh
 from .files import (
     Element as Element,
     load_robot as load_robot,
+    mujoco_spec as mujoco_spec,
     panda as panda,
     parse_xml as parse_xml,
     puma560 as puma560,

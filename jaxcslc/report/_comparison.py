@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from .._scratch import unfinished
+from .._scratch import all_together
 from .._text_table import text_table
 from ._page import Column, Message, Page, Section, Table, Tone, render
 from ._report import Report, read_report
@@ -86,7 +86,7 @@ class ReportComparison:
 
         - `OSError`: the file cannot be written.
         """
-        with unfinished(Path(path)) as file:
+        with all_together([Path(path)]) as (file,):
             file.write_text(render(self.page()), encoding="utf-8", errors="backslashreplace")
 
     def __str__(self) -> str:

@@ -1,6 +1,5 @@
 """Files of reports: a folder of them, all or none; CSV and JSON."""
 
-import csv
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._plain_data import plain
+from .._safe_text import csv_line
 from .._scratch import all_or_nothing
 from ._page import render
 
@@ -26,11 +26,12 @@ def write_report(
 ) -> tuple[Path, ...]:
     """Writes a report into a folder: all of its files or, if writing fails, none.
 
-    Files of these names that an earlier report left and this one does not have are removed.
+    Files of an earlier report that this one does not have are removed.
 
     **Returns** the files to look at: without those of drawings. **Raises** as `Report.save`.
     """
-    with all_or_nothing(folder) as scratch:
+    known = [path.name for path in replaced_files(folder)]
+    with all_or_nothing(folder, earlier=known) as scratch:
         page = render(report.page(charts=pictures))
         (scratch / "index.html").write_text(page, encoding="utf-8", errors="backslashreplace")
         for section in report.sections:
@@ -44,10 +45,6 @@ def write_report(
         for name in report.patterns:
             _write_torque(scratch / _torque_file(name, report.model.output_quantity), report, name)
         written = {path.name for path in scratch.iterdir()}
-    known = [path.name for path in replaced_files(folder)]
-    for name in known:
-        if name not in written:
-            (folder / name).unlink(missing_ok=True)
     ordered = [*known, *sorted(written - {*known})]
     shown = written - {name for name, _ in drawings}
     return tuple(folder / name for name in ordered if name in shown)
@@ -90,7 +87,7 @@ def _write_torque(path: Path, report: "AbstractReport[Any]", recording: str) -> 
     masks[:, -1] = ord("\n")
     ends = masks.view(f"S{masks.shape[1]}").ravel().astype(str).tolist()
     with path.open("w", encoding="utf-8", errors="backslashreplace", newline="\n") as file:
-        file.write(",".join(["time", *header]) + "\n")
+        file.write(csv_line(["time", *header]) + "\n")
         file.writelines(
             row % (*values, end) for values, end in zip(numbers.tolist(), ends, strict=True)
         )
@@ -99,9 +96,9 @@ def _write_torque(path: Path, report: "AbstractReport[Any]", recording: str) -> 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Rows as CSV, numbers in full precision."""
     with path.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+        names = list(rows[0])
+        lines = (names, *([row[name] for name in names] for row in rows))
+        file.writelines(f"{csv_line(line)}\r\n" for line in lines)
 
 
 def write_json(path: Path, document: Mapping[str, Any]) -> None:

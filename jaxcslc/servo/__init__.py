@@ -10,6 +10,8 @@ Modules, in reading order:
 - `_readers`, `_lerobot`: recordings from tables, bags and folders of data sets.
 - `_drive`: the parameters of a servo and its joint.
 - `_simulation`, `servo.c`: positions from commands; loads of one joint.
+- `_mjcf`: MuJoCo models of an arm of servos, and replay of commands in them.
+- `_feedforward`: commands for a wanted motion, in C.
 - `_fit`: the result of a fit.
 """
 
@@ -18,10 +20,16 @@ from ._drive import (
     TORQUES as TORQUES,
     ServoDrive as ServoDrive,
 )
+from ._feedforward import servo_feedforward as servo_feedforward
 from ._fit import (
     ConfoundedParameters as ConfoundedParameters,
     ServoFit as ServoFit,
     ServoParameter as ServoParameter,
+)
+from ._mjcf import (
+    WrittenServoArm as WrittenServoArm,
+    replay_in_mujoco as replay_in_mujoco,
+    write_servo_mjcf as write_servo_mjcf,
 )
 from ._readers import (
     load_servo_recording as load_servo_recording,
@@ -40,7 +48,11 @@ __all__ = [
     "ServoFit",
     "ServoParameter",
     "ServoRecording",
+    "WrittenServoArm",
     "load_servo_recording",
     "load_servo_recordings",
+    "replay_in_mujoco",
+    "servo_feedforward",
     "simulate",
+    "write_servo_mjcf",
 ]

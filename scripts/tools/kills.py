@@ -27,6 +27,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from jaxcslc._scratch import MARKER
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 
@@ -293,7 +294,8 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _hidden(folder: Path) -> list[str]:
-    return [path.name for path in sorted(folder.rglob("*")) if path.name.startswith(".")]
+    hidden = [path.name for path in sorted(folder.rglob(".*"))]
+    return [name for name in hidden if name != MARKER]
 
 
 def _whole(program: Program, folder: Path) -> dict[str, Any]:

@@ -136,9 +136,9 @@ def test_a_motion_for_a_payload(folder: Path) -> None:
         (("--start", "1,2"), "start: expected 1 positions"),
         (("--limits", "none.toml"), "none.toml: no such file of limits"),
         (("--for", "kd9"), "'kd9' is no coefficient or group"),
-        (("--payload", "-1"), "payload: mass is -1.0; expected 0 kg or more"),
+        (("--payload", "-1"), "--payload: expected a number from 0 on, got '-1'"),
         (("--starts", "0"), "--starts: expected a whole number from 1 on, got '0'"),
-        (("--duration", "0"), "duration is 0.0; expected more than 0 s"),
+        (("--duration", "0"), "--duration: expected a number above 0, got '0'"),
         (("-o", "motion.txt"), "expected a name that ends in .csv"),
     ],
 )

@@ -141,11 +141,18 @@ def test_friction_that_the_file_has_no_words_for(tmp_path: Path) -> None:
 
 def test_the_robots_own_file(arm: Path, tmp_path: Path) -> None:
     path = identification(derived(arm), tmp_path / "fit.json")
-    check_error(run(arm, path, "-o", tmp_path / "." / "arm.toml"), "arm.toml", "--overwrite")
-    assert arm.read_text() == ARM
-    result = run(arm, path, "-o", arm, "--overwrite")
+    for overwrite in ((), ("--overwrite",)):
+        own = tmp_path / "." / "arm.toml"
+        check_error(run(arm, path, "-o", own, *overwrite), "arm.toml: is read")
+        assert arm.read_text() == ARM
+    other = tmp_path / "other.toml"
+    result = run(arm, path, "-o", other)
     assert result.exit_code == 0, result.output
-    assert "mass = " in arm.read_text()
+    assert "mass = " in other.read_text()
+    assert run(arm, path, "-o", other).exit_code == 0
+    other.write_text(other.read_text() + "# mine\n")
+    check_error(run(arm, path, "-o", other), "other.toml: was changed since jaxcslc wrote it")
+    assert run(arm, path, "-o", other, "--overwrite").exit_code == 0
     columns = re.split(r"(?<=\]) +", result.output.splitlines()[2].strip())
     assert columns == [
         *("mass [kg]", "rx [m]", "ry [m]", "rz [m]"),

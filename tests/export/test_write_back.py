@@ -347,12 +347,13 @@ def test_folders(file: Path, rng: np.random.Generator) -> None:
     network = jc.derive(jc.load_robot(file), lengths="numeric")
     parameters = parameters_near(network, rng)
     written = jc.write_robot(network, parameters, file.parent / "some" / "where" / file.name)
-    assert written.path.exists() and len(list(written.path.parent.iterdir())) == 1
+    there = {entry.name for entry in written.path.parent.iterdir()}
+    assert there == {file.name, ".jaxcslc"}
     taken = file.parent / f"taken{file.suffix}"
     taken.mkdir()
     with pytest.raises(OSError, match=f"'{taken}'") as caught:
         jc.write_robot(network, parameters, taken)
-    assert ".part" not in str(caught.value)
+    assert ".unfinished" not in str(caught.value)
 
 
 class TestXmlEdits:

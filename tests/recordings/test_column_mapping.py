@@ -103,7 +103,7 @@ def test_wrong_entries(document: dict[str, Any], expected: str) -> None:
         ({"torque": {"columns": ["i0", "i0"]}}, "texts that differ"),
         ({"torque": {"columns": ["i0", "v0"]}, "velocity": {"columns": ["v0", "v1"]}}, "more than"),
         ({"torque": {"unit": "N m"}}, "expected columns = ...: the file's format has none"),
-        ({"position": {"columns": "p_{joint}"}, "joints": None}, "{joint} needs joints = "),
+        ({"position": {"columns": "p_{joint}"}, "joints": None}, "no column 'p_1' of columns"),
         ({"torque": {"columns": "i{index}", "sign": [1, 1, 1]}}, "3 numbers of sign, constant"),
         ({"time": {}}, "no column 'time' of columns"),
     ],
@@ -119,6 +119,31 @@ def test_wrong_mappings_of_a_file(log: Path, changes: dict[str, Any], expected: 
     document = {key: value for key, value in document.items() if value is not None}
     with pytest.raises(RecordingError, match=expected):
         load_recording(log, columns=ColumnMapping.of(document))
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_joints_of_the_robot_name_columns(log: Path, tmp_path: Path, turned: bool) -> None:
+    """`{joint}` is a name of the robot's file where the log has such columns, or else a number."""
+    document: dict[str, Any] = {
+        "time": {"columns": "stamp"},
+        "position": {"columns": "p_{joint}"},
+        "torque": {"columns": "t_{joint}"},
+    }
+    mapping = ColumnMapping.of(document)
+    names = ("elbow", "shoulder") if turned else ("shoulder", "elbow")
+    rows = "".join(f"{i},{i},{2 * i},{3 * i},{4 * i}\n" for i in range(6))
+    log.write_text("stamp,p_shoulder,p_elbow,t_shoulder,t_elbow\n" + rows)
+    by_name = load_recording(log, joints=names, columns=mapping)
+    order = [1, 0] if turned else [0, 1]
+    assert by_name.joint_names == names
+    assert by_name.torque[1].tolist() == [[3, 4][i] for i in order]
+    log.write_text("stamp,p_1,p_2,t_1,t_2\n" + rows)
+    assert load_recording(log, joints=names, columns=mapping).torque[1].tolist() == [3, 4]
+    assert load_recording(log, joints=names, columns=mapping).joint_names == names
+    assert load_recording(log, joints=2, columns=mapping).position[1].tolist() == [1, 2]
+    log.write_text("stamp,p_shoulder,t_shoulder\n" + "".join(f"{i},{i},{i}\n" for i in range(6)))
+    with pytest.raises(RecordingError, match="no joint elbow; the recording has shoulder"):
+        load_recording(log, joints=names, columns=mapping)
 
 
 def test_wrong_files(log: Path, tmp_path: Path) -> None:

@@ -10,7 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from jaxcslc._scratch import all_or_nothing, check_output_folder, remove_left_behind
+from jaxcslc import _scratch
+from jaxcslc._scratch import (
+    all_or_nothing,
+    all_together,
+    check_output_folder,
+    check_replaceable,
+    remove_left_behind,
+)
 
 
 def test_files_arrive_together(tmp_path: Path) -> None:
@@ -78,7 +85,7 @@ def test_what_a_killed_process_left_is_removed_and_no_other(tmp_path: Path, exis
     remove_left_behind(scratch.parents[1], "results")
     assert not scratch.parent.exists()
     assert by_hand.exists()
-    assert [path.name for path in results.iterdir()] == ["b.csv"]
+    assert {path.name for path in results.iterdir()} == {"b.csv", ".jaxcslc"}
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
@@ -100,24 +107,90 @@ def test_a_link_in_place_of_scratch_is_not_followed(tmp_path: Path) -> None:
     assert (precious / "file").exists()
 
 
-def test_scratch_of_a_folder_that_is_there_lies_in_it(
+def test_a_folder_that_cannot_be_exchanged_holds_its_scratch_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The folder may be a mount point, and the one around it write-protected."""
+    """It may be a mount point, the one around it write-protected, or a shell be in it."""
     results = tmp_path / "results"
     results.mkdir()
-    seen: list[Path] = []
+    status = results.stat()
+    monkeypatch.chdir(results)
+    with all_or_nothing(Path()) as scratch:
+        assert scratch.is_relative_to(results)
+        (scratch / "a.csv").write_text("1")
+    assert {path.name for path in results.iterdir()} == {"a.csv", ".jaxcslc"}
+    assert results.stat().st_ino == status.st_ino
+
+
+@pytest.mark.parametrize("how", ["exchanged", "another disk", "a shell is in it"])
+def test_other_files_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
+    """However a folder is replaced, only files that were written into it before are."""
+    results = tmp_path / "results"
+    with all_or_nothing(results) as scratch:
+        for name in ("a.csv", "b.csv", "c.csv", "d.csv"):
+            (scratch / name).write_text("first")
+    (results / "c.csv").write_text("changed by hand")
+    (results / "mine").mkdir()
+    (results / "mine" / "notes").write_text("mine")
+    (results / "link").symlink_to("nowhere")
+    if how == "another disk":
+        monkeypatch.setattr(_scratch, "_swap", lambda *_: False)
+    if how == "a shell is in it":
+        monkeypatch.chdir(results)
+    results.chmod(0o750)
+    with all_or_nothing(results, earlier=["b.csv", "c.csv", "mine"]) as scratch:
+        (scratch / "a.csv").write_text("second")
+    there = {path.name: path for path in results.iterdir()}
+    assert {*there} == {"a.csv", "c.csv", "d.csv", "mine", "link", ".jaxcslc"}
+    assert there["a.csv"].read_text() == "second"
+    assert there["c.csv"].read_text() == "changed by hand"
+    assert (there["mine"] / "notes").read_text() == "mine"
+    assert results.stat().st_mode & 0o777 == 0o750
+    assert [*tmp_path.iterdir()] == [results]
+    check_replaceable(results, ["a.csv", "d.csv"])
+    with pytest.raises(FileExistsError, match=r"c\.csv: was changed since"):
+        check_replaceable(results, ["a.csv", "c.csv"])
+
+
+def test_what_may_be_replaced(tmp_path: Path) -> None:
+    check_replaceable(tmp_path / "new", ["a.csv"])
+    check_replaceable(tmp_path, ["a.csv"])
+    (tmp_path / "a.csv").write_text("mine")
+    with pytest.raises(FileExistsError, match=r"did not write, as a\.csv; expected a new folder"):
+        check_replaceable(tmp_path, ["b.csv"])
+    check_replaceable(tmp_path, ["b.csv"], whole=False)
+    with pytest.raises(FileExistsError, match=r"a\.csv: exists already"):
+        check_replaceable(tmp_path, ["a.csv"], whole=False)
+    check_replaceable(tmp_path, ["a.csv"], overwrite=True)
+    with all_together([tmp_path / "a.csv"]) as (file,):
+        file.write_text("written")
+    check_replaceable(tmp_path, ["a.csv"])
+    (tmp_path / "b.csv").mkdir()  # what is in it would be lost
+    with pytest.raises(FileExistsError, match=r"b\.csv: expected no folder"):
+        check_replaceable(tmp_path, ["b.csv"], overwrite=True)
+    for text in ("[", "[]", '{"files": {"a.csv": 1}}', '{"files": 1}', "[" * 100_000):
+        (tmp_path / ".jaxcslc").write_text(text)  # a list that is none allows nothing
+        with pytest.raises(FileExistsError):
+            check_replaceable(tmp_path, ["a.csv"])
+
+
+def test_ctrl_c_between_two_files_waits_for_the_second(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = [tmp_path / name for name in ("a", "b", "c")]
     replace = os.replace
 
-    def spy(source: Path, target: Path) -> None:
-        seen.append(Path(source))
+    def interrupting(source: Path, target: Path) -> None:
         replace(source, target)
+        if Path(target) == files[0]:
+            signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(os, "replace", spy)
-    with all_or_nothing(results) as scratch:
-        (scratch / "a.csv").write_text("1")
-    assert all(path.is_relative_to(results) for path in seen)
-    assert [path.name for path in results.iterdir()] == ["a.csv"]
+    monkeypatch.setattr(os, "replace", interrupting)
+    with pytest.raises(KeyboardInterrupt), all_together(files) as scratch:
+        for file in scratch:
+            file.write_text("new")
+    assert [file.read_text() for file in files] == ["new"] * 3
+    assert {path.name for path in tmp_path.iterdir()} == {"a", "b", "c", ".jaxcslc"}
 
 
 def test_results_that_cannot_be_written_are_refused_before_the_work(

@@ -152,7 +152,7 @@ def test_reports_are_read_back(report: SystemReport, tmp_path: Path) -> None:
         with pytest.raises(AttributeError, match="do not hold"):
             saved.network  # noqa: B018
         saved.save(tmp_path / "again")
-        for path in (tmp_path / "again").iterdir():
+        for path in (tmp_path / "again").glob("[!.]*"):
             assert path.read_text("utf-8") == (folder / path.name).read_text("utf-8")
     assert "not simulated: no equation has the mass" in str(without)
 

@@ -19,7 +19,7 @@ from jaxcslc._environment import require
 
 from .._joint import JointKind, RobotError
 from .._link_parameters import LinkParameters
-from .._manipulator import JointLimits, Mimic
+from .._manipulator import JointLimits, Manipulator, Mimic
 from ._urdf import LARGEST, Edit, simplified
 
 
@@ -104,6 +104,38 @@ def read_bodies(path: Path, *, urdf: bool, edits: Sequence[Edit] = ()) -> BodyTr
     """
     with _without_warnings():
         return _read(path, urdf, edits)
+
+
+def mujoco_spec(robot: Manipulator) -> Any:
+    """Return the file of a robot as a `mujoco.MjSpec`, without meshes, sensors and actuators.
+
+    Joints of the file that are none of the robot's are removed: bodies are fixed where they are.
+
+    **Arguments**
+
+    - `robot`: read from a URDF or MJCF file.
+
+    **Raises**
+
+    - `RobotError`: another robot, or a file that MuJoCo cannot read.
+    - `MissingExtraError`: without MuJoCo.
+    """
+    source = robot.source
+    if source is None or source.format == "toml":
+        raise RobotError(
+            f"robot {robot.name!r}: expected one that was read from a URDF or MJCF file"
+        )
+    path = Path(source.path)
+    with _without_warnings():
+        try:
+            spec = _parsed(path, source.format == "urdf", ())
+        except (ValueError, OSError) as error:
+            raise RobotError(f"{path}: {' '.join(str(error).split())}") from None
+    _without_geometry(spec, source.format == "urdf")
+    _delete([joint for joint in spec.joints if joint.name not in source.joints], spec)
+    moving = {joint.name for joint in spec.joints}
+    _delete([e for e in spec.equalities if not {e.name1, e.name2 or e.name1} <= moving], spec)
+    return spec
 
 
 def _read(path: Path, urdf: bool, edits: Sequence[Edit]) -> BodyTree:

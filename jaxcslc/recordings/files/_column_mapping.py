@@ -33,8 +33,8 @@ class MappedQuantity:
     """Mapping of a file's columns to one quantity.
 
     - `columns`: their names, one per joint; or one text in which `{joint}` stands for a joint's
-      name, `{number}` for its number from 1 and `{index}` for that from 0; None: as the format has
-      them.
+      name, or its number where the file has no names, `{number}` for its number from 1 and
+      `{index}` for that from 0; None: as the format has them.
     - `unit`: None: as the format has it, or else SI.
     - `factors`: sign times torque constant [N m/A] times gear ratio, one per joint or one for all.
     - `zeros`: values of positions, in the file's unit, that stand for 0; as `factors`.
@@ -100,15 +100,9 @@ class MappedQuantity:
             return tuple(map(LayoutColumn, self.columns))
         if count is None:
             raise RecordingError(f"{where}, columns: expected a list, or joints = [...] beside it")
-        if "{joint}" in self.columns and names is None:
-            raise RecordingError(f"{where}, columns: {{joint}} needs joints = [...] beside it")
         return tuple(
-            LayoutColumn(
-                self.columns.replace("{joint}", "" if names is None else names[i])
-                .replace("{number}", str(i + 1))
-                .replace("{index}", str(i))
-            )
-            for i in range(count)
+            LayoutColumn(_filled(self.columns, str(i) if names is None else names[i - 1], i))
+            for i in range(1, count + 1)
         )
 
     def with_units(
@@ -247,7 +241,7 @@ class ColumnMapping:
         differ, units of another quantity and currents without a torque constant.
         """
         base = self._base(file, header, joints, kind)
-        names = self.joints or base.joint_names
+        names = self.joints or base.joint_names or self._named(header, joints)
         counts = [len(names)] if names is not None else self._counts(base, joints)
         quantities = dict(base.quantities)
         for quantity, mapped in self.quantities.items():
@@ -296,6 +290,40 @@ class ColumnMapping:
             return base
         return base.for_joints(file, self.file_joints or self.joints or joints)
 
+    def _named(self, header: Header, joints: int | Sequence[str] | None) -> tuple[str, ...] | None:
+        """Return the robot's joints whose names `{joint}` stands for in the file's columns."""
+        pattern = next((text for text in self.patterns if "{joint}" in text), None)
+        if pattern is None or isinstance(joints, int | None):
+            return None
+        return _with_column(pattern, joints, header.names, joints) or None
+
+    def joints_in(self, columns: Sequence[str], joints: Sequence[str]) -> tuple[str, ...] | None:
+        """Return the joints of a robot that a file has columns of, by the mapping's patterns.
+
+        **Arguments**
+
+        - `columns`: of the file.
+        - `joints`: of the robot, in order.
+
+        **Returns** those whose name, or else whose number, stands in a column; None of a mapping
+        that lists its columns.
+
+        >>> from jaxcslc.recordings import ColumnMapping
+        >>> mapping = ColumnMapping.of({"position": {"columns": "q_{joint}"}})
+        >>> mapping.joints_in(["time", "q_elbow"], ["shoulder", "elbow"])
+        ('elbow',)
+        """
+        if named := self._named(Header(list(columns)), joints):
+            return named
+        numbers = [str(i + 1) for i in range(len(joints))]
+        return next((_with_column(text, numbers, columns, joints) for text in self.patterns), None)
+
+    @property
+    def patterns(self) -> list[str]:
+        """Texts with `{joint}`, `{number}` or `{index}` that stand for a column per joint."""
+        mapped = (self.quantities[name] for name in self.quantities if name != "time")
+        return [quantity.columns for quantity in mapped if isinstance(quantity.columns, str)]
+
     def _counts(self, base: ColumnLayout, joints: int | Sequence[str] | None) -> list[int]:
         """Return the numbers of joints that something states."""
         counts = [len(m.columns) for m in self.quantities.values() if isinstance(m.columns, tuple)]
@@ -311,6 +339,23 @@ class ColumnMapping:
         if mapped.unit is None:
             return standard if name is None else LayoutColumn(name)
         return LayoutColumn(name or standard.name, si_factor(mapped.unit, "time") or 1.0)
+
+
+def _filled(pattern: str, joint: str, number: int) -> str:
+    """Return the column of a joint, whose number counts from 1."""
+    filled = pattern.replace("{joint}", joint).replace("{number}", str(number))
+    return filled.replace("{index}", str(number - 1))
+
+
+def _with_column(
+    pattern: str, names: Sequence[str], columns: Sequence[str], joints: Sequence[str]
+) -> tuple[str, ...]:
+    """Return the joints that have a column if `{joint}` stands for one of `names`."""
+    return tuple(
+        joint
+        for number, (name, joint) in enumerate(zip(names, joints, strict=True), 1)
+        if _filled(pattern, name, number) in columns
+    )
 
 
 def _numbers(value: Any, where: str, *, zero: bool = False) -> list[float]:

@@ -162,7 +162,8 @@ class ColumnLayout:
                     " them in the robot's file (name = ... of each [[joint]]), or list the"
                     " recording's in the robot's order: joints = [...] in a file of --columns"
                 )
-            return self
+            named = have is None and bool(names) and not numbered
+            return dataclasses.replace(self, joint_names=names) if named else self
         if missing := [name for name in names if name not in have]:
             raise RecordingError(
                 f"{file}: no joint {listed(missing)}; the recording has {listed(have)}; expected"

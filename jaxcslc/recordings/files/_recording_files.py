@@ -83,8 +83,8 @@ def load_recording(
 
     **Returns**
 
-    The recording, in SI units. `joint_names` are the file's, where it names joints; `notes` say
-    what was decided in reading it.
+    The recording, in SI units. `joint_names` are those of `joints` or, without them, the file's,
+    where it names joints; `notes` say what was decided in reading it.
 
     **Raises**
 

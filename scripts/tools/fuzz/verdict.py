@@ -12,6 +12,7 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
+from jaxcslc._scratch import MARKER
 from scripts.tools.fuzz.cases import Case, case
 from scripts.tools.invoke import Result, invoke
 
@@ -77,7 +78,7 @@ def _fault(
     new = [path for path in _files(folder) if path not in before]
     if result.exit_code == 2 and new:
         return f"failed, and left {', '.join(str(path.relative_to(folder)) for path in new)}"
-    hidden = [path for path in new if path.name.startswith(".")]
+    hidden = [path for path in new if path.name.startswith(".") and path.name != MARKER]
     return f"left {hidden[0].name}" if hidden else None
 
 
