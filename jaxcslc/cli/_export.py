@@ -59,8 +59,7 @@ def export_command(
     """
     del overwrite
     with context.progress("reading") as step:
-        bundled = files("jaxcslc.manipulator") / "robots" / f"{robot}.toml"
-        file = Path(str(bundled)) if robot in BUNDLED else Path(robot)
+        file = _file_of(robot)
         path = Path(f"{file.stem}_identified{file.suffix}") if output is None else output
         suffix = ".c" if c else file.suffix.lower()
         if output is not None and output.suffix.lower() != suffix:
@@ -91,8 +90,14 @@ def export_command(
                 progress=step,
             )
             text = str(exported) + _pre_sliding(saved, "is omitted: Coulomb friction is a step")
-            data, paths = {"files": [str(path)], "warnings": exported.warnings}, ()
+            paths, data = (), {"files": [str(path)], "warnings": exported.warnings}
     return Output(with_notes(text, saved.network.robot), lambda: data, paths)
+
+
+def _file_of(robot: str) -> Path:
+    """Return a robot's file; of a bundled robot, too."""
+    bundled = files("jaxcslc.manipulator") / "robots" / f"{robot}.toml"
+    return Path(str(bundled)) if robot in BUNDLED else Path(robot)
 
 
 def _check_verdict(saved: Report, identification: Path) -> None:
