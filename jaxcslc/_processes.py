@@ -11,8 +11,10 @@ command's own process. Sharing the trials of settings as well took 0.2 s more in
 """
 
 import contextlib
+import math
 import os
 import pickle
+import select
 import signal
 from collections.abc import Callable, Generator
 from contextvars import ContextVar
@@ -55,13 +57,56 @@ def can_fork() -> bool:
     A forked process would have the locks of XLA's threads and not the threads. Those of BLAS, of
     Arrow and of memory allocators are made for it.
     """
-    if not _ALLOWED.get() or core_count() < 2:
-        return False
+    return _ALLOWED.get() and core_count() >= 2 and _has_no_threads_of_xla()
+
+
+def _has_no_threads_of_xla() -> bool:
     names: list[str] = []
     for path in Path("/proc/self/task").glob("*/comm"):
         with contextlib.suppress(OSError):  # of a thread that has just ended
             names.append(path.read_text())
     return bool(names) and not any("XLA" in name for name in names)  # none: not Linux
+
+
+def computed_in_bounds(compute: Callable[[], Result], *, seconds: float, memory: int) -> Result:
+    """Compute in a forked process that may neither take long nor need much memory, nor harm this.
+
+    For what native code makes of files of strangers. Computed in this process, without bounds,
+    where `processes_beside` does not allow a process, or forking is not possible.
+
+    **Arguments**
+
+    - `seconds`: that it may take, of a clock and of a processor.
+    - `memory`: that it may need in addition to what this process has [bytes].
+
+    **Raises**
+
+    - what the computation raised.
+    - `ChildProcessError`: it took longer, or needed more, or crashed; one line says which.
+
+    >>> computed_in_bounds(lambda: 42, seconds=1.0, memory=1 << 30)
+    42
+    """
+    if not (_ALLOWED.get() and _has_no_threads_of_xla()):
+        return compute()
+
+    def bounded() -> Result:
+        import resource  # not on Windows, where nothing forks
+
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        bounds = {
+            resource.RLIMIT_AS: pages * resource.getpagesize() + memory,
+            resource.RLIMIT_CPU: math.ceil(seconds),  # a forked process begins with none
+            resource.RLIMIT_CORE: 0,
+        }
+        for kind, bound in bounds.items():
+            hard = resource.getrlimit(kind)[1]
+            least = bound if hard == resource.RLIM_INFINITY else min(bound, hard)
+            resource.setrlimit(kind, (least, hard))
+        return compute()
+
+    with contextlib.closing(Forked(bounded)) as forked:
+        return forked.result(seconds)
 
 
 class Forked(Generic[Result]):
@@ -81,29 +126,46 @@ class Forked(Generic[Result]):
         os.close(written)
         self._results = open(results, "rb")  # noqa: SIM115
 
-    def result(self) -> Result:
+    def result(self, seconds: float | None = None) -> Result:
         """Wait for the result; once only.
+
+        **Arguments**
+
+        - `seconds`: to wait for it at most.
 
         **Raises**
 
         - what the computation raised.
-        - `ChildProcessError`: the process has ended without a result.
+        - `ChildProcessError`: the process has ended without a result, or has none in time.
         """
+        if not select.select([self._results], [], [], seconds)[0]:
+            raise ChildProcessError(f"took more than {seconds:g} s")
         try:
             result, error = pickle.load(self._results)
         except (EOFError, pickle.UnpicklingError):
-            raise ChildProcessError("a process that computed beside this one has ended") from None
+            _, status = os.waitpid(self._process, 0)
+            self._process = 0
+            raise ChildProcessError(_end_of(status)) from None
         if error is not None:
             raise error
         return result
 
     def close(self) -> None:
         """End the process, whether it has a result or not."""
+        self._results.close()
         if self._process:
-            self._results.close()
             os.kill(self._process, signal.SIGKILL)
             os.waitpid(self._process, 0)
             self._process = 0
+
+
+def _end_of(status: int) -> str:
+    """Return how a process ended that has no result."""
+    if not os.WIFSIGNALED(status):
+        return "a process that computed beside this one has ended"
+    number = os.WTERMSIG(status)
+    why = " (too long)" if number == signal.SIGXCPU else ""
+    return f"its process ended by {signal.Signals(number).name}{why}"
 
 
 def _answer(compute: Callable[[], object], written: int) -> NoReturn:

@@ -6,6 +6,7 @@ characters in them, and a spreadsheet computes what looks like a formula.
 
 import csv
 import io
+import math
 import re
 from collections.abc import Iterable
 from typing import Any
@@ -31,11 +32,13 @@ def csv_line(cells: Iterable[Any]) -> str:
     """Return a line of CSV without its end: quoted where it must be, and no formulas.
 
     Texts that a spreadsheet would compute begin with an apostrophe, which it takes for a text's.
+    Numbers that are not finite are empty cells, as JSON has null for them.
 
     >>> print(csv_line(["joint 1", "left,right", "=1+1", -2.5]))
     joint 1,"left,right",'=1+1,-2.5
     """
     texts = [f"'{x}" if isinstance(x, str) and _FORMULA.match(x) else x for x in cells]
+    texts = ["" if isinstance(x, float) and not math.isfinite(x) else x for x in texts]
     line = io.StringIO()
     csv.writer(line).writerow(texts)  # which quotes the characters of its line's end, too
     return line.getvalue().removesuffix("\r\n")

@@ -131,3 +131,23 @@ def test_a_full_or_closed_output_is_named(redirection: str, status: int, error: 
     assert done.returncode == status
     assert done.stderr.startswith(error) and "Traceback" not in done.stderr
     assert done.stderr.count("\n") == bool(error)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="MuJoCo is run beside the command on Linux")
+def test_a_crash_of_mujoco_is_one_line(tmp_path: Path) -> None:
+    """It is made to crash: the files that are known to do so are refused before."""
+    program = """
+import os, signal
+from jaxcslc.cli import main
+from jaxcslc.manipulator.files import _mujoco_reader
+
+_mujoco_reader._read = lambda *_: os.kill(os.getpid(), signal.SIGSEGV)
+main()
+"""
+    (tmp_path / "arm.xml").write_text("<mujoco/>")
+    command = [sys.executable, "-c", program, "derive", "arm.xml"]
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, env=dict(os.environ)
+    )
+    line = "jaxcslc: arm.xml: MuJoCo cannot read it: its process ended by SIGSEGV (docs/robots.md)"
+    assert (done.returncode, done.stderr) == (2, f"{line}\n")

@@ -4,6 +4,8 @@ import contextlib
 import os
 import signal
 import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from jaxcslc._processes import (
     Forked,
     can_fork,
     computed_beside,
+    computed_in_bounds,
     function_beside,
     processes_beside,
 )
@@ -45,9 +48,31 @@ def test_errors_are_raised_here() -> None:
 def test_an_ended_process_is_reported() -> None:
     with (
         contextlib.closing(Forked(_end)) as forked,
-        pytest.raises(ChildProcessError, match="has ended"),
+        pytest.raises(ChildProcessError, match="ended by SIGKILL"),
     ):
         forked.result()
+
+
+@pytest.mark.parametrize(
+    ("compute", "error", "words"),
+    [
+        (lambda: os.kill(os.getpid(), signal.SIGSEGV), ChildProcessError, "ended by SIGSEGV"),
+        (lambda: os.abort(), ChildProcessError, "ended by SIGABRT"),
+        (lambda: time.sleep(60), ChildProcessError, "took more than 0.5 s"),
+        (lambda: len(bytes(3 << 30)), MemoryError, "^$"),
+        (lambda: int("three"), ValueError, "invalid literal"),
+    ],
+)
+def test_bounds(
+    compute: Callable[[], object],
+    error: type[Exception],
+    words: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("jaxcslc._processes._has_no_threads_of_xla", lambda: True)
+    with processes_beside(), pytest.raises(error, match=words):
+        computed_in_bounds(compute, seconds=0.5, memory=1 << 30)
+    assert computed_in_bounds(os.getpid, seconds=0.5, memory=1) == os.getpid()  # not allowed
 
 
 def test_processes_end_in_any_order_and_unfinished() -> None:

@@ -160,7 +160,12 @@ def _shortest(
     cones += [solver.PSDTriangleConeT(4)] * bodies
     # min ½ x'Px + q'x subject to Ax + s = b, s in the cones
     problem = csc_matrix(2.0 * np.eye(size)), np.zeros(size), csc_matrix(-slopes), starts
-    solution = solver.DefaultSolver(*problem, cones, options).solve()
+    try:
+        solution = solver.DefaultSolver(*problem, cones, options).solve()
+    except BaseException as error:  # of numbers that overflow in it, though they are finite
+        if type(error).__name__ != "PanicException":
+            raise
+        return None, False
     status = str(solution.status)
     x = np.asarray(solution.x)
     if status not in ("Solved", "AlmostSolved", "MaxIterations") or not np.all(np.isfinite(x)):

@@ -339,14 +339,23 @@ def _known(value: Any, where: str) -> Known:
         raise ValueError(f"{where}: unknown entry {unknown[0]!r}; expected value, error, low, high")
     for name, number in entries.items():
         usable = isinstance(number, int | float) and not isinstance(number, bool)
-        if not usable or not abs(number) < math.inf:
-            raise ValueError(f"{where}: {name}: expected a finite number, got {number!r}")
+        if not usable or not abs(number) <= _LARGEST:
+            raise ValueError(
+                f"{where}: {name}: expected a finite number up to {_LARGEST:g}, got {number!r}"
+            )
+        if name == "error" and 0 < number < 1 / _LARGEST:
+            raise ValueError(
+                f"{where}: error: expected {1 / _LARGEST:g} or more, got {number!r}; without an"
+                " error the value is fixed"
+            )
     try:
         return Known(**{name: float(number) for name, number in entries.items()})
     except (OverflowError, ValueError) as error:
         raise ValueError(f"{where}: {error}") from None
 
 
+# In SI units no robot's numbers come near; beyond, squares of them make solvers overflow.
+_LARGEST = 1e12
 # A coefficient that shares this part of a unit null vector is not determined by itself.
 _SHARE = 1e-6
 # Singular values below this part of the largest are rounding of the fit's covariance.

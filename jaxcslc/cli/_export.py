@@ -1,8 +1,9 @@
 """The command `jaxcslc export`."""
 
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from ..export import CCode, c_code, export_robot, motor_file, write_c
 from ..report import Report, load_report
@@ -73,12 +74,7 @@ def export_command(
             _check_verdict(saved, identification)
         if c:
             step("writing C")
-            code, note = _c_code(saved)
-            if output is None:
-                context.check_output([Path(f"{code.name}{suffix}") for suffix in (".c", ".h")])
-            paths = write_c(code, output)
-            counts = ", ".join(f"{name} {count}" for name, count in code.operations.items())
-            text, data = f"operations: {counts}{note}", {"operations": code.operations}
+            text, data, paths = _write_c(context, saved, output)
         else:
             exported = export_robot(
                 saved.network,
@@ -101,12 +97,30 @@ def _file_of(robot: str) -> Path:
 
 
 def _check_verdict(saved: Report, identification: Path) -> None:
-    """**Raises** `ValueError` for a result that is not to be relied on."""
-    if objections := saved.objections:
+    """**Raises** `ValueError` for a result that is not to be relied on, or has no verdict."""
+    try:
+        objections = saved.objections
+    except (LookupError, TypeError, AttributeError) as error:  # of entries that were changed
+        raise ValueError(
+            f"{identification}: holds no verdict ({type(error).__name__}: {error}); expected what"
+            " identify wrote, or --force"
+        ) from None
+    if objections:
         raise ValueError(
             f"{identification}: its verdict is not to rely on it: {objections[0]} Expected a"
             " result without ✗, or --force"
         )
+
+
+def _write_c(
+    context: Context, saved: Report, output: Path | None
+) -> tuple[str, dict[str, Any], Sequence[Path]]:
+    code, note = _c_code(saved)
+    if output is None:
+        context.check_output([Path(f"{code.name}{suffix}") for suffix in (".c", ".h")])
+    paths = write_c(code, output)
+    counts = ", ".join(f"{name} {count}" for name, count in code.operations.items())
+    return f"operations: {counts}{note}", {"operations": code.operations}, paths
 
 
 def _c_code(saved: Report) -> tuple[CCode, str]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
+from .._processes import processes_beside
 from ..checks import without_outliers
 from ..manipulator import (
     Manipulator,
@@ -147,7 +148,9 @@ class RobotPart:
         """Read a bundled robot, or the part of a robot file."""
         fixed = [part for names in self.fix or () for part in names_in(names)]
         if name not in BUNDLED:
-            return load_robot(name, base=self.base, tip=self.tip or (), fix=fixed, mimic=self.mimic)
+            part = {"base": self.base, "tip": self.tip or (), "fix": fixed, "mimic": self.mimic}
+            with processes_beside():  # what crashes MuJoCo ends another process than this one
+                return load_robot(name, **part)
         if self.base is not None or self.tip or fixed or self.mimic:
             raise RobotError(
                 f"{name}: base, tip, fix and mimic choose a part of a file; {name} is one robot"

@@ -359,7 +359,8 @@ _VALUES = {"value": ("a number", _is_number), "bounds": ("[LOW, HIGH]", _is_pair
 
 
 def _identifier(name: str) -> str:
-    if not name.isidentifier() or keyword.iskeyword(name) or name in RESERVED:
+    reserved = (*RESERVED, "__debug__")  # to which Python lets nothing be assigned
+    if not name.isidentifier() or keyword.iskeyword(name) or name in reserved:
         raise DescriptionError(
             f"name {name!r}: expected letters, digits and _, and neither a word of Python nor one"
             f" of {', '.join(RESERVED)}"

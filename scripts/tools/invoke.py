@@ -15,7 +15,7 @@ class Result:
     exit_code: int
     stdout: str
     stderr: str
-    exception: Exception | None = None
+    exception: BaseException | None = None
 
     @property
     def output(self) -> str:
@@ -26,12 +26,14 @@ class Result:
 def invoke(*words: str | Path) -> Result:
     """Run the command with these words; settings of the process stay as they are."""
     out, error = io.StringIO(), io.StringIO()
-    caught: Exception | None = None
+    caught: BaseException | None = None
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
         try:
             status = run([str(word) for word in words], configure=False)
         except SystemExit as end:
             status = end.code if isinstance(end.code, int) else 1
-        except Exception as raised:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as raised:  # a library in Rust panics by one that is no Exception
             status, caught = 1, raised
     return Result(status, out.getvalue(), error.getvalue(), caught)

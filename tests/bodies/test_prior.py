@@ -156,7 +156,7 @@ def test_files(tmp_path: Path, network: jc.CSLC) -> None:
     ("text", "message"),
     [
         ("[coefficients]\nkv1 = { value = 1, sigma = 2 }", "kv1: unknown entry 'sigma'"),
-        ("[coefficients]\nkv1 = 'a'", "kv1: value: expected a finite number, got 'a'"),
+        ("[coefficients]\nkv1 = 'a'", "kv1: value: expected a finite number up to 1e+12, got 'a'"),
         ("[coefficients]\nkv1 = nan", "coefficients, kv1: value: expected a finite number"),
         ("[coefficients]\nkv1 = { error = 1 }", "coefficients, kv1: expected a value or a bound"),
         ("[coefficients]\nkv1 = { value = 1, error = -1 }", "error: expected 0 or more, got -1"),

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxcslc._environment import require
+from jaxcslc._processes import computed_in_bounds
 
 from .._joint import JointKind, RobotError
 from .._link_parameters import LinkParameters
@@ -27,6 +28,11 @@ from ._urdf import LARGEST, Edit, simplified
 # of links of next to no mass are rounding.
 _ROUNDING = 1e-9
 _SMALLEST = 1e-15
+
+# Arms take a tenth of a second and less than 100 MB, most of it MuJoCo itself; the largest of files
+# that are not refused before take 5 s. A bound is for what was made to take more.
+_LONGEST = 20.0
+_MOST_MEMORY = 2 << 30
 
 WORLD = "world"  # what MuJoCo calls the body that carries all others
 
@@ -102,8 +108,16 @@ def read_bodies(path: Path, *, urdf: bool, edits: Sequence[Edit] = ()) -> BodyTr
     - `RobotError`: in one line, from MuJoCo.
     - `MissingExtraError`: without MuJoCo.
     """
-    with _without_warnings():
-        return _read(path, urdf, edits)
+
+    def read() -> BodyTree:
+        with _without_warnings():
+            return _read(path, urdf, edits)
+
+    try:
+        return computed_in_bounds(read, seconds=_LONGEST, memory=_MOST_MEMORY)
+    except (ChildProcessError, MemoryError) as error:
+        why = " ".join(str(error).split()) or "too little memory"
+        raise RobotError(f"{path}: MuJoCo cannot read it: {why}") from None
 
 
 def mujoco_spec(robot: Manipulator) -> Any:

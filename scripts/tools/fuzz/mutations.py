@@ -13,7 +13,54 @@ NUMBERS = (
     *("nan", "inf", "-inf", "0", "-0.0", "-1", "1", "2.5", "1e300", "-1e300", "1e-300", "1e160"),
     *("99999999999999999999999999", "1,5", "0x10", "1e", "--1", "1_000", "٣", "true", "null", ""),
 )
-WORDS = ("", "x", "joint", "nan", "é", "a b", '"', "'", "<", "&amp;", "[", "]]", "{}", "\\", "\x00")
+WORDS = ("", "x", "joint", "é", "a b", '"', "'", "<", "&amp;", "[", "]]", "{}", "\\", "\x00")
+NAMES = (
+    *("=1+1", "+1", "@SUM(1)", "-2+3|x!A1", "a,b", "a;b", "a\tb", "a\nb", "\r", " ", "a  b", ""),
+    *(
+        "\x1b[31mred",
+        "\x1b]0;title\x07",
+        "\x9b2J",
+        "\u202eabc",
+        "\u200b",
+        "\x7f",
+        "\x01",
+        "e\u0301",
+    ),
+    *("*/ int x; /*", "**/ /", "a*\\", "??/", "//", "#if", "int", "main", "6dof arm", "_", "__A"),
+    *("<script>alert(1)</script>", '"><b>', "&amp;", "</td>", "]]>", "<!--", "'", '"', "`", "\\"),
+    *("..", ".", "../x", "/etc/passwd", "~", "-", "--help", "-o", "$(id)", "${HOME}", "%s%n", "%"),
+    *("{0}", "{}", "{{x}}", "{% x %}", "[red]x[/red]", "[/]", "\\u0041", "\\N", "$x_1$"),
+    *(
+        "__debug__",
+        "__class__",
+        "lambda",
+        "None",
+        "True",
+        "pi",
+        "sin",
+        "e",
+        "I",
+        "t",
+        "dot",
+        "ddot",
+    ),
+    *("joint 1", "joint_1", "1", "-0", "torque_1", "time", "position", "base", "world", "universe"),
+    *(
+        "é",
+        "关节",
+        "🤖",
+        "ı",
+        "ß",
+        "x" * 300,
+        "x" * 20_000,
+        "a b" * 50,
+        "kv1",
+        "m1",
+        "Ixx1",
+        "null",
+    ),
+)
+"""Names that are formulas, code, markup, paths, options, escapes, or somebody else's."""
 VALUES: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 1, 2.5, 1e300, -1e300, 1e-300, 10**26, float("nan"), float("inf")),
     *(0.5, 3, 10, 100, -0.1, 1e-3, 1e-9, 1e6, 1e9, [0.5], [1, 2], [0.1, 10.0], "huber", "auto"),
@@ -40,7 +87,14 @@ def mutated_bytes(data: bytes, draw: random.Random) -> bytes:
         start = draw.randrange(len(data))
         end = min(len(data), start + draw.choice((1, 1, 4, 16, 256)))
         changed = bytes(draw.randrange(256) for _ in range(end - start))
-        kept = (changed, b"", data[start:end] * 2, changed + data[start:end])
+        lengths = draw.choice((b"\xff", b"\x7f", b"\x00", b"\x01\x00\x00\x00")) * (end - start)
+        kept = (
+            changed,
+            b"",
+            data[start:end] * 2,
+            changed + data[start:end],
+            lengths[: end - start],
+        )
         data = data[:start] + draw.choice(kept) + data[end:]
         data = data[:start] if draw.random() < 0.1 else data
     return data
@@ -67,6 +121,64 @@ def mutated_document(document: Any, draw: random.Random) -> Any:
         else:
             parent.append(copy.deepcopy(draw.choice((*VALUES, parent[key]))))
     return document
+
+
+def renamed(text: str, name: str, draw: random.Random, quote: Callable[[str], str]) -> str:
+    """A text with a hostile name in place of one of its own, wherever that stands, or once.
+
+    - `name`: the text's own.
+    - `quote`: escapes a name as the text's format needs it; most times it is used.
+    """
+    other = draw.choice(NAMES)
+    if draw.random() < 0.9:
+        other = quote(other)
+    return re.sub(rf"\b{name}\b", lambda _: other, text, count=draw.choice((0, 0, 0, 1)))
+
+
+def formula(draw: random.Random, symbols: tuple[str, ...], depth: int = 4) -> str:
+    """A formula of symbols, numbers and functions; some need years, or are none."""
+    kind = draw.random()
+    if depth == 0 or kind < 0.2:
+        return draw.choice((*symbols, *symbols, *_ATOMS))
+
+    def part() -> str:
+        return formula(draw, symbols, depth - 1)
+
+    if kind < 0.55:
+        return f"{part()} {draw.choice(_OPERATORS)} {part()}"
+    if kind < 0.75:
+        return f"({part()})"
+    if kind < 0.95:
+        return f"{draw.choice(_FUNCTIONS)}({part()})"
+    return draw.choice(_HOSTILE_FORMULAS).replace("?", part())
+
+
+_ATOMS = ("0", "1", "2", "0.5", "1e300", "1e-300", "9" * 40, "pi", "x1", "dot(x)", "ddot(x)", "t")
+_OPERATORS = ("+", "-", "*", "*", "/", "**", "^", "%", "//", "==", "<", ",", "and", "@", ".")
+_FUNCTIONS = (
+    *("sin", "cos", "tan", "exp", "log", "sqrt", "abs", "sign", "tanh", "dot", "ddot", "-", "atan"),
+    *("factorial", "gamma", "eval", "__import__", "lambda", "Integral", "min", "x", ""),
+)
+_HOSTILE_FORMULAS = (
+    *("9**9**9*?", "(?)**500", "(?)**0.5", "(?)**-1", "(?)**(1/3)", "2**(?)", "10**(10**?)"),
+    *(
+        "-" * 5000 + "?",
+        "(" * 500 + "?" + ")" * 500,
+        "sin(" * 60 + "?" + ")" * 60,
+        "+".join("?" * 50),
+    ),
+    *("*".join(["(1+?)"] * 12), "1/(?-?)", "log(0*?)", "0/0*?", "[?]", "?.real", "? if ? else ?"),
+    *(
+        "__import__('os').system('id')",
+        "?;?",
+        "?=?",
+        "'?'",
+        "?!",
+        "1e999*?",
+        "?\n+?",
+        "().__class__",
+    ),
+)
 
 
 def _containers(document: Any) -> list[Any]:

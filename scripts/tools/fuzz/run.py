@@ -1,18 +1,23 @@
-"""A fuzzer of the command: mutated robots, recordings, settings, results and command lines.
+"""A fuzzer of the command: mutated robots, recordings, settings, results, names, command lines.
 
-Every case follows from its number. It runs the command in this process and must end within ten
-seconds, with a result or with one line that says what is wrong, and leave no partial output:
+Every case follows from its number and the seed. It runs one or more commands in a process of its
+own kind. Each must end within ten seconds and 3 GB, with a result or with one line that says what
+is wrong, leave no partial output, and call no NaN a result:
 
-    python -m scripts.tools.fuzz.run --cases 10000 --workers 2
+    python -m scripts.tools.fuzz.run --cases 50000 --jobs 64 --seed 1
 
-Rows go to `build/fuzz/rows.jsonl`, and the next run goes on from there; rows of other code do not
-count. One case again, with its files and all that it prints:
+It prints a table of outcomes. Rows go to `build/fuzz/rows.jsonl`, and the next run goes on from
+there; rows of other code do not count. Files and command lines of cases that are wrong go to
+`build/fuzz/wrong`. One case again, with its files:
 
-    python -m scripts.tools.fuzz.run --case 1234
+    python -m scripts.tools.fuzz.run --case 1234 --seed 1
 """
 
+import argparse
 import multiprocessing
+import os
 import shlex
+import shutil
 import signal
 import sys
 import tempfile
@@ -24,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import jaxcslc as jc
+from jaxcslc._text_table import text_table
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 
@@ -38,34 +44,40 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the fuzzer. **Returns** 1 if a case is wrong."""
     parser = command.new_parser(__doc__, "fuzz")
     parser.add_argument("--cases", type=int, default=10_000, help="numbers from 0 up to this")
-    parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--seconds", type=float, default=600.0, help="to stop after")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--seed", type=int, default=0, help="of the cases")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="to stop after")
     parser.add_argument("--case", type=int, help="run this case alone, and show everything")
-    options = command.parse(parser, arguments, cases=200, workers=1)
-    command.require_least(parser, options, cases=1, workers=1, seconds=1)
+    options = command.parse(parser, arguments, cases=200, jobs=1)
+    command.require_least(parser, options, cases=1, jobs=1, seconds=1)
+    options.output.mkdir(parents=True, exist_ok=True)
     if options.case is not None:
-        return _show(options.case, options.output)
+        return _show(options.case, options.seed, options.output)
     code = sorted(path for path in _FOLDER.glob("*.py") if path.name != "run.py")
-    rows = Rows(options.output / "rows.jsonl", ("case",), made_of({}, code))
-    numbers = [number for number in range(options.cases) if (number,) not in rows]
+    rows = Rows(options.output / "rows.jsonl", ("seed", "case"), made_of({}, code))
+    numbers = [number for number in range(options.cases) if (options.seed, number) not in rows]
 
     def fuzz() -> int:
-        _run(numbers, rows, options.workers, options.seconds, options.output)
-        return _report(rows, options.cases)
+        _run(numbers, rows, options)
+        return _report(rows, options)
 
-    return command.run(parser, fuzz, rows.path, seconds=min(options.seconds, 0.1 * len(numbers)))
+    seconds = min(options.seconds, 0.5 * len(numbers) / max(options.jobs / 2, 1))
+    return command.run(parser, fuzz, rows.path, seconds=seconds)
 
 
-def _run(numbers: Sequence[int], rows: Rows, workers: int, seconds: float, output: Path) -> None:
+def _run(numbers: Sequence[int], rows: Rows, options: argparse.Namespace) -> None:
     """Gives numbers to worker processes; a case that ends its process is a row like any other."""
-    end = time.monotonic() + seconds
+    end = time.monotonic() + options.seconds
     remaining = iter(numbers)
     with (
         tempfile.TemporaryDirectory() as name,
         command.progress(desc="cases", total=len(numbers), unit="case") as bar,
     ):
         templates = Path(name) / "templates"
-        running = [_Worker(templates, Path(name) / str(i)) for i in range(workers)]
+        running = [
+            _Worker(i, options.seed, templates, Path(name) / f"worker {i}")
+            for i in range(options.jobs)
+        ]
         running[0].make_templates()
         try:
             while running:
@@ -79,6 +91,8 @@ def _run(numbers: Sequence[int], rows: Rows, workers: int, seconds: float, outpu
                     if row is not None:
                         rows.add(row)
                         bar.update()
+                        if row["fault"]:
+                            _keep(row, templates, options.output)
         finally:
             for worker in running:
                 worker.stop()
@@ -87,8 +101,8 @@ def _run(numbers: Sequence[int], rows: Rows, workers: int, seconds: float, outpu
 class _Worker:
     """A process that runs one case at a time, and another one when it ended."""
 
-    def __init__(self, templates: Path, folder: Path) -> None:
-        self.templates, self.folder = templates, folder
+    def __init__(self, index: int, seed: int, templates: Path, folder: Path) -> None:
+        self.index, self.seed, self.templates, self.folder = index, seed, templates, folder
         self.number: int | None = None
         self.since = 0.0
         self._start()
@@ -97,7 +111,7 @@ class _Worker:
         context = multiprocessing.get_context("spawn")
         self.connection, other = context.Pipe()
         self.process = context.Process(
-            target=_work, args=(other, self.templates, self.folder), daemon=True
+            target=_work, args=(other, self.index, self.seed, self.templates, self.folder)
         )
         self.process.start()
         other.close()
@@ -134,20 +148,27 @@ class _Worker:
             return None
         self.number = None
         self._start()
-        return {"case": number, "kind": "?", "code": None, "seconds": _HANGS, "fault": fault}
+        from scripts.tools.fuzz.cases import kind_of
+
+        row = {"seed": self.seed, "case": number, "kind": kind_of(number or 0, self.seed)}
+        return {**row, "code": None, "seconds": _HANGS, "memory": 0, "fault": fault}
 
     def stop(self) -> None:
         self.process.kill()
         self.process.join()
 
 
-def _work(connection: Connection, templates: Path, folder: Path) -> None:
+def _work(connection: Connection, index: int, seed: int, templates: Path, folder: Path) -> None:
     """What a worker process does: a row for every number that it is sent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends it
+    if hasattr(os, "sched_setaffinity"):  # one core each: libraries start as many threads as cores
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[index % len(cores)]})
     _quick_compilation()
     from scripts.tools.fuzz.templates import write_templates
     from scripts.tools.fuzz.verdict import run_case
 
+    limited = False
     while True:
         number = connection.recv()
         if number is None:
@@ -155,7 +176,22 @@ def _work(connection: Connection, templates: Path, folder: Path) -> None:
             write_templates(templates)
             connection.send(True)
         else:
-            connection.send(run_case(number, templates, folder))
+            if not limited:
+                limited = _limit_memory()
+            connection.send(run_case(number, templates, folder, seed))
+
+
+def _limit_memory() -> bool:
+    """Memory that a case may allocate beyond what libraries map as they start."""
+    import resource
+
+    from scripts.tools.fuzz.verdict import MOST_MEMORY
+
+    mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    # What is mapped and not used does not count: as much again, for pools and stacks of threads.
+    most = 2 * mapped + 2 * MOST_MEMORY
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    return True
 
 
 def _quick_compilation() -> None:
@@ -168,40 +204,66 @@ def _quick_compilation() -> None:
     command.compile_quickly()
 
 
-def _show(number: int, output: Path) -> int:
+def _show(number: int, seed: int, output: Path) -> int:
     """Runs one case, and keeps its files."""
     _quick_compilation()
-    from scripts.tools.fuzz.cases import case
     from scripts.tools.fuzz.templates import write_templates
     from scripts.tools.fuzz.verdict import run_case
 
-    folder = output.absolute() / f"case {number}"
     with tempfile.TemporaryDirectory() as name:
-        write_templates(Path(name))
-        row = run_case(number, Path(name), folder)
-        again = Path(name) / "again"
-        again.mkdir()
-        line = shlex.join(case(number, Path(name), again).arguments)
-    line = line.replace(str(again), str(folder))
-    print(f"jaxcslc {line}\n{row}\nits files are in {folder}")
+        templates = Path(name) / "templates"
+        templates.mkdir()
+        write_templates(templates)
+        row = run_case(number, templates, Path(name) / "case", seed)
+        folder = _keep(row, templates, output)
+    print(f"{(folder / 'case.txt').read_text('utf-8')}its files are in {folder}")
     return int(row["fault"] is not None)
 
 
-def _report(rows: Rows, cases: int) -> int:
-    done = sorted((row for row in rows.all() if row["case"] < cases), key=lambda row: row["case"])
+def _keep(row: Row, templates: Path, output: Path) -> Path:
+    """Writes the files of a case and of the templates that it names, and what was wrong."""
+    from scripts.tools.fuzz.cases import case
+
+    folder = output.absolute() / "wrong" / f"{row['seed']} {row['case']}"
+    shutil.rmtree(folder, ignore_errors=True)
+    here, source = folder / "case", folder / "templates"
+    here.mkdir(parents=True)
+    shutil.copytree(templates, source)
+    lines = [
+        shlex.join(["jaxcslc", *line]) for line in case(row["case"], source, here, row["seed"])[2]
+    ]
+    text = "\n".join([*lines, "", f"{row['kind']}: {row['fault']}", ""])
+    (folder / "case.txt").write_text(text, encoding="utf-8", errors="backslashreplace")
+    return folder
+
+
+def _report(rows: Rows, options: argparse.Namespace) -> int:
+    """Prints a table of outcomes, and what is wrong."""
+    done = [
+        row for row in rows.all() if row["seed"] == options.seed and row["case"] < options.cases
+    ]
+    done.sort(key=lambda row: row["case"])
     wrong = [row for row in done if row["fault"]]
     for row in wrong:
         print(f"case {row['case']} ({row['kind']}): {row['fault']}")
-    slowest = max(done, key=lambda row: row["seconds"], default=None)
-    kinds = Counter(row["kind"] for row in done)
-    good = sum(row["code"] == 0 for row in done)
-    print(
-        f"{len(done)} cases ({', '.join(f'{kinds[kind]} {kind}' for kind in sorted(kinds))}):"
-        f" {good} with a result, {len(done) - good} with an error line, {len(wrong)} wrong"
-    )
-    if slowest:
-        print(f"slowest: case {slowest['case']}, {slowest['seconds']:.1f} s")
+    kinds = sorted({row["kind"] for row in done})
+    table: list[list[str]] = []
+    for kind in (*kinds, "all"):
+        some = [row for row in done if kind in (row["kind"], "all")]
+        counts = Counter(
+            "wrong" if row["fault"] else _OUTCOMES.get(row["code"], "") for row in some
+        )
+        numbers = [len(some), *(counts[name] for name in (*_OUTCOMES.values(), "wrong"))]
+        most = [max((row[name] for row in some), default=0) for name in ("seconds", "memory")]
+        table.append([kind, *map(str, numbers), f"{most[0]:.1f}", f"{most[1]:.0f}"])
+    header = ["kind", "cases", *_OUTCOMES.values(), "wrong", "longest [s]", "most [MB]"]
+    print(text_table(header, table))
+    if wrong:
+        print(f"files of what is wrong: {options.output / 'wrong'}")
     return int(bool(wrong))
+
+
+_OUTCOMES = {0: "result", 1: "findings", 2: "one line"}
 
 
 if __name__ == "__main__":

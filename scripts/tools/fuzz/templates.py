@@ -158,6 +158,30 @@ boxes = [[[2.0, 0.0, 0.0], [0.1, 0.1, 0.1]]]
 spheres = [[[0.0, 2.0, 0.0], 0.1]]
 ignore = [["shoulder", "elbow"]]
 """
+PRIOR = """[coefficients]
+kv1 = { value = 2.0, error = 0.1 }
+kd1 = 0.5
+kM1 = { low = 0.0, high = 100.0 }
+
+[links.shoulder]
+mass = { value = 2.4, error = 0.1 }
+rx = { low = -0.1, high = 0.1 }
+motor_inertia = 0.35
+"""
+PROJECT = """robot = "arm.toml"
+friction = ["viscous", "dry"]
+lengths = "numeric"
+decimate = 1
+despike = false
+between = [0.0, 2.5]
+torque = "measured"
+settings = "settings.json"
+columns = "table.toml"
+
+[limits.joints]
+velocity = [2.0, 3.0]
+torque = 40.0
+"""
 # The arm that recordings are of: small, and not the TOML file above, which is all keys.
 ARM = 'gravity = [0, -9.81, 0]\n[[joint]]\nname = "shoulder"\n[[joint]]\nname = "elbow"\na = 0.3\n'
 
@@ -195,6 +219,8 @@ def write_inputs(folder: Path) -> None:
         "system.toml": SYSTEM,
         "mapping.toml": MAPPING,
         "limits.toml": LIMITS,
+        "prior.toml": PRIOR,
+        "jaxcslc.toml": PROJECT.replace('columns = "table.toml"\n', ""),
         "settings.json": json.dumps(SETTINGS, indent=1),
     }
     for name, text in texts.items():

@@ -1,6 +1,8 @@
 """A fixed sample of the fuzzer's cases, and the fuzzer's own judgement."""
 
+import os
 import random
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +41,8 @@ def test_a_case_follows_from_its_number(templates: Path, tmp_path: Path) -> None
         folder = tmp_path / str(repeat)
         folder.mkdir()
         example = cases.case(number, templates, folder)
-        arguments = [text.replace(str(folder), "") for text in example.arguments]
-        made.append((arguments, [path.read_bytes() for path in sorted(folder.iterdir())]))
+        arguments = [text.replace(str(folder), "") for text in example.lines[0]]
+        made.append((arguments, [path.read_bytes() for path in sorted(folder.rglob("*.*"))]))
     assert made[0] == made[1]
 
 
@@ -64,6 +66,11 @@ FAULTS = {
     "open('new', 'w').close(); print('jaxcslc: x', file=sys.stderr); sys.exit(2)": "left new",
     "open('.new', 'w').close()": "left .new",
     "print('hm', file=sys.stderr)": "standard error has",
+    "print('rms nan N m')": "printed nan",
+    "print('joint \\x1b[2J')": "printed what a terminal obeys",
+    "Path('out.csv').write_text('a,b\\n1,inf\\n')": "wrote inf into out.csv",
+    "Path('out.json').write_text('{\"a\": NaN}')": "wrote NaN into out.json",
+    "bytearray(4 << 30)": "took 4",
     "os.write(2, b'oh')": "a library printed 'oh'",
     "print('fine')": None,
     "print('jaxcslc: x', file=sys.stderr); sys.exit(2)": None,
@@ -75,11 +82,11 @@ def test_what_is_wrong_is_seen(
     program: str, templates: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def command(*_: Any, **__: Any) -> int:
-        exec(program, {"sys": __import__("sys"), "os": __import__("os")})
+        exec(program, {"sys": sys, "os": os, "Path": Path})
         return 0
 
     monkeypatch.setattr(invoke, "run", command)
-    monkeypatch.setattr(verdict, "case", lambda number, *_: cases.Case(number, "robot", []))
+    monkeypatch.setattr(verdict, "case", lambda number, *_: cases.Case(number, "robot", [[]]))
     fault = verdict.run_case(0, templates, tmp_path / "case")["fault"]
     expected = FAULTS[program]
     assert fault is None if expected is None else expected in str(fault)
