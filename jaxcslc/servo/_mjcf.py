@@ -3,6 +3,7 @@
 The file is the robot's, with the drives of a fit; read with `_drive` and `_recording`.
 """
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -29,9 +30,10 @@ TIMESTEP = 0.001
 _IMPEDANCE = 0.9999
 # Smallest time constant of constraints that MuJoCo allows, in time steps (`refsafe`).
 _STIFFEST = 2.0
-# Parts of the largest plausible friction that are tried for what MuJoCo has not.
-_PARTS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3)
-_MATCHED = 40.0  # s of a recording, over which they are compared
+# For what MuJoCo has not: parts of the largest plausible friction, and of the drive's damping, that
+# are tried in turn, in so many rounds.
+_FRICTIONS, _DAMPINGS, _ROUNDS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3), (1.0, 0.9, 0.8, 0.7, 0.6), 2
+_MATCHED = 40.0  # s of recordings, over which they are compared
 _RADIUS = 0.008  # of the rods that show links, with which nothing collides [m]
 
 
@@ -76,18 +78,18 @@ def write_servo_mjcf(
     | ends of travel | `range` of the joint |
 
     MuJoCo has no dead zone of servos, no static friction above Coulomb friction, and no friction
-    that depends on load. For them, `frictionloss` is larger than Coulomb friction: by as much as
-    moves the model most nearly as `simulate` does under the commands of `recordings`. Without
-    recordings it is Coulomb friction. Play and a speed limit are left out. `approximations` says
-    so where it applies.
+    that depends on load. For them, `frictionloss` is larger than Coulomb friction and `kv` smaller
+    than damping: by as much as moves the model most nearly as `simulate` does under the commands
+    of `recordings`. Without recordings they are omitted, as play and a speed limit are.
+    `approximations` says so where it applies.
 
     **Arguments**
 
     - `robot`: read from a URDF or MJCF file. Its meshes are not in the model.
     - `drives`: one per joint of the robot.
     - `path`: of the file to write, ending in `.xml`.
-    - `recordings`: recordings of the arm; ranges of joints include their positions. Of the first,
-      40 s are simulated.
+    - `recordings`: recordings of the arm; ranges of joints include their positions. Of all
+      together, up to 40 s are simulated.
 
     **Returns** the file, and what is approximated in it.
 
@@ -144,10 +146,11 @@ def write_servo_mjcf(
     _show(mujoco, spec)
     try:
         text = _text(spec, robot.source.joints, drives)
-        extra = _extra_friction(mujoco, text, robot, drives, recordings)
-        for joint, more in zip(joints, extra.tolist(), strict=True):
-            joint.frictionloss = float(joint.frictionloss) + more
-        text = _text(spec, robot.source.joints, drives)
+        expressed = _expressible(mujoco, text, robot, drives, recordings)
+        for joint, drive in zip(joints, expressed, strict=True):
+            joint.frictionloss = drive.coulomb
+            _set_linear(joint, "damping", drive.viscous)
+        text = _text(spec, robot.source.joints, expressed)
     except ValueError as error:
         raise RobotError(f"{path}: {' '.join(str(error).split())}") from None
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -248,45 +251,71 @@ def _text(spec: Any, joints: Sequence[str], drives: Sequence[ServoDrive]) -> str
     return f"{head}\n  <actuator>\n{servos}  </actuator>\n{end}{tail}"
 
 
-def _extra_friction(
+def _expressible(
     mujoco: Any,
     text: str,
     robot: Manipulator,
     drives: Sequence[ServoDrive],
     recordings: Sequence[ServoRecording],
-) -> Float[np.ndarray, " joints"]:
-    """Return the friction that stands for what MuJoCo has not, joint by joint.
+) -> list[ServoDrive]:
+    """Return drives with other Coulomb friction and damping, for what MuJoCo has not.
 
-    All joints try the same part of their largest plausible value at a time: coupling between
-    joints hardly changes which part suits one best.
+    Static friction is friction that falls with velocity: a larger Coulomb friction and less damping
+    come near it. All joints try the same part at a time: coupling between joints hardly changes
+    which part suits one best.
     """
-    plausible = np.array([d.static + d.gain * d.dead_zone for d in drives])
+    largest = np.array([d.static + d.gain * d.dead_zone for d in drives])
     loaded = np.array([d.load_friction for d in drives])
-    extra = np.zeros(len(drives))
-    if not recordings or not np.any(plausible + loaded):
-        return extra
-    recording = recordings[0].between(0.0, _MATCHED)
+    if not recordings or not np.any(largest + loaded):
+        return list(drives)
+    parts = [x.between(0.0, _MATCHED / len(recordings)) for x in recordings]
     if np.any(loaded):
-        q = recording.position - [d.offset for d in drives]
+        q = np.concatenate([x.position for x in parts]) - [d.offset for d in drives]
         gravity, _ = inverse_dynamics(robot, q, np.zeros_like(q), np.zeros_like(q))
-        plausible = plausible + loaded * np.mean(np.abs(gravity), axis=0)
-    goal = simulate(robot, drives, recording.time, recording.command, recording.position[0])
+        largest = largest + loaded * np.mean(np.abs(gravity), axis=0)
+    goals = [simulate(robot, drives, x.time, x.command, x.position[0]) for x in parts]
     model = mujoco.MjModel.from_xml_string(text)
     dofs = [int(model.jnt_dofadr[model.actuator_trnid[i, 0]]) for i in range(model.nu)]
-    coulomb = model.dof_frictionloss[dofs].copy()
-    errors: list[np.ndarray] = []
-    for part in _PARTS:
-        model.dof_frictionloss[dofs] = coulomb + part * plausible
-        replayed = _replayed(mujoco, model, recording)
-        errors.append(np.mean((replayed - goal) ** 2, axis=0))
-    return np.array(_PARTS)[np.argmin(errors, axis=0)] * plausible
+
+    def changed(friction: np.ndarray, damping: np.ndarray) -> list[ServoDrive]:
+        changes = zip(drives, (friction * largest).tolist(), damping.tolist(), strict=True)
+        return [
+            dataclasses.replace(
+                d,
+                coulomb=d.coulomb + more,
+                damping=d.damping * less,
+                viscous=d.viscous * less,
+            )
+            if limit
+            else d
+            for (d, more, less), limit in zip(changes, largest > 0.0, strict=True)
+        ]
+
+    def errors(friction: np.ndarray, damping: np.ndarray) -> np.ndarray:
+        tried = changed(friction, damping)
+        model.dof_frictionloss[dofs] = [d.coulomb for d in tried]
+        model.dof_damping[dofs] = [d.viscous for d in tried]
+        model.actuator_biasprm[:, 2] = [-d.damping for d in tried]
+        differences = [
+            _replayed(mujoco, model, x) - goal for x, goal in zip(parts, goals, strict=True)
+        ]
+        return np.mean(np.concatenate(differences) ** 2, axis=0)
+
+    n = len(drives)
+    friction, damping = np.zeros(n), np.ones(n)
+    for _ in range(_ROUNDS):
+        tried = [errors(np.full(n, part), damping) for part in _FRICTIONS]
+        friction = np.array(_FRICTIONS)[np.argmin(tried, axis=0)]
+        tried = [errors(friction, np.full(n, part)) for part in _DAMPINGS]
+        damping = np.array(_DAMPINGS)[np.argmin(tried, axis=0)]
+    return changed(friction, damping)
 
 
 def _approximations(
     joints: Sequence[str], drives: Sequence[ServoDrive], has_recordings: bool
 ) -> tuple[str, ...]:
     """Return what MuJoCo has not as the drives have it, and of which joints."""
-    instead = "a larger frictionloss stands for it" if has_recordings else "left out"
+    instead = "frictionloss and kv stand for it" if has_recordings else "left out"
     kinds: dict[str, Callable[[ServoDrive], bool]] = {
         f"dead zone: {instead}": lambda drive: drive.dead_zone > 0.0,
         f"static friction: {instead}": lambda drive: drive.static > 0.0,

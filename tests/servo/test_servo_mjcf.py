@@ -3,6 +3,7 @@
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -131,7 +132,7 @@ def test_ends_of_travel_are_readings(arm: jc.Manipulator, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     "more", [{"dead_zone": 0.01}, {"static": 0.1, "stribeck": 0.05}, {"load_friction": 0.3}]
 )
-def test_frictionloss_stands_for_what_mujoco_lacks(
+def test_frictionloss_and_damping_stand_for_what_mujoco_lacks(
     arm: jc.Manipulator, tmp_path: Path, more: dict[str, float]
 ) -> None:
     """With it, MuJoCo is nearer to a simulation that has all, under commands of other motion."""
@@ -149,7 +150,21 @@ def test_frictionloss_stands_for_what_mujoco_lacks(
         assert len(written.approximations) == 1
         model = mujoco.MjModel.from_xml_path(str(path))
         assert np.all(model.dof_frictionloss > 0.1) == bool(recordings)
+        assert np.all(model.actuator_biasprm[:, 2] >= -0.5)
     assert differences[1] < 0.9 * differences[0]
+
+
+def test_the_program_of_the_page(arm: jc.Manipulator, tmp_path: Path) -> None:
+    """Plain MuJoCo, as docs/servo.md has it, replays the same."""
+    page = (Path(__file__).parents[2] / "docs" / "servo.md").read_text("utf-8")
+    (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    names: dict[str, Any] = {}
+    exec(compile(program, "docs/servo.md", "exec"), names)
+    drives = [ServoDrive(10.0, 0.5, delay=0.03), ServoDrive(8.0, 0.3, coulomb=0.1)]
+    path = write_servo_mjcf(arm, drives, tmp_path / "servos.xml").path
+    x = commands(2)
+    replayed = names["replay"](str(path), x.time, x.command, x.position[0])
+    np.testing.assert_array_equal(replayed, replay_in_mujoco(path, x))
 
 
 def test_what_is_left_out_is_said(arm: jc.Manipulator, tmp_path: Path) -> None:
