@@ -10,9 +10,12 @@ Modules, in reading order:
 - `_readers`, `_lerobot`: recordings from tables, bags and folders of data sets.
 - `_drive`: the parameters of a servo and its joint.
 - `_simulation`, `servo.c`: positions from commands; loads of one joint.
+- `_search`: unknowns of a joint, and least squares of its simulated positions.
+- `_intervals`: covariance of all unknowns, and intervals of the parameters.
+- `_identifiability`: what recordings cannot tell apart, and what would.
+- `_fit`: `identify_servo` and its result.
 - `_mjcf`: MuJoCo models of an arm of servos, and replay of commands in them.
 - `_feedforward`: commands for a wanted motion, in C.
-- `_fit`: the result of a fit.
 """
 
 from ._drive import (
@@ -22,10 +25,13 @@ from ._drive import (
 )
 from ._feedforward import servo_feedforward as servo_feedforward
 from ._fit import (
-    ConfoundedParameters as ConfoundedParameters,
+    ESTIMATED as ESTIMATED,
+    MASS_ERROR as MASS_ERROR,
     ServoFit as ServoFit,
-    ServoParameter as ServoParameter,
+    identify_servo as identify_servo,
 )
+from ._identifiability import ConfoundedParameters as ConfoundedParameters
+from ._intervals import ServoParameter as ServoParameter
 from ._mjcf import (
     WrittenServoArm as WrittenServoArm,
     replay_in_mujoco as replay_in_mujoco,
@@ -41,7 +47,9 @@ from ._simulation import LONGEST_STEP as LONGEST_STEP, simulate as simulate
 
 __all__ = [
     "DRIVE_UNITS",
+    "ESTIMATED",
     "LONGEST_STEP",
+    "MASS_ERROR",
     "TORQUES",
     "ConfoundedParameters",
     "ServoDrive",
@@ -49,6 +57,7 @@ __all__ = [
     "ServoParameter",
     "ServoRecording",
     "WrittenServoArm",
+    "identify_servo",
     "load_servo_recording",
     "load_servo_recordings",
     "replay_in_mujoco",

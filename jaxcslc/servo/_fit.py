@@ -1,68 +1,73 @@
-"""Result of a fit of servo drives to commands and positions."""
+"""Fit of servo drives to recorded commands and positions, with intervals.
 
-from dataclasses import dataclass
+     recordings --> loads of each joint --> regression --> search with coarse steps --+
+                         ^                                                            |
+                         +-- zero positions of the joints ----------------------------+
+                                                                                      |
+     ServoFit <-- intervals, confounded parameters <-- search with fine steps <-------+
+
+The search minimises the squares of simulated minus measured positions, joint by joint, each under
+the loads that the measured motion of the others gives it. `_search` holds the problem of a joint.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import astuple, dataclass
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
+from scipy.signal import savgol_filter
 
-from ..manipulator import Manipulator
+from .._progress import Progress, steps as progress_steps
+from ..manipulator import LinkParameters, Manipulator
+from ..recordings import encoder_resolution
 from ._drive import ServoDrive
+from ._identifiability import ALONE, ConfoundedParameters, confounded
+from ._intervals import OFFSET_STEP, ServoParameter, Stack, information_per_sample
+from ._recording import ServoRecording
+from ._search import (
+    MOVING,
+    NAMES,
+    UNKNOWNS,
+    JointMotion,
+    JointProblem,
+    regression,
+    starting_point,
+)
+from ._simulation import LONGEST_STEP, joint_loads, simulate, with_payload
 
 
-@dataclass(frozen=True)
-class ServoParameter:
-    """Estimate of one parameter of a drive, with its 95 % interval.
+ESTIMATED = (
+    "gain",
+    "damping",
+    "delay",
+    "offset",
+    "armature",
+    "coulomb",
+    "static",
+    "stribeck",
+    "load_friction",
+)
+"""Parameters that `identify_servo` estimates unless it is told otherwise."""
 
-    **Attributes**
+MASS_ERROR = 0.2
+"""Relative standard error of a file's masses: printed parts and cables differ so much from CAD."""
 
-    - `joint`: index of the joint, from 0.
-    - `name`: of the parameter, as of `ServoDrive`.
-    - `value`, `error`: estimate and standard error; the error is infinite if the recordings do not
-      determine the parameter.
-    - `low`, `high`: ends of the 95 % interval.
-    - `unit`: of all four.
-
-    >>> from jaxcslc.servo import ServoParameter
-    >>> ServoParameter(0, "delay", 0.04, 0.001, 0.038, 0.042, "s").is_determined
-    True
-    """
-
-    joint: int
-    name: str
-    value: float
-    error: float
-    low: float
-    high: float
-    unit: str
-
-    @property
-    def is_determined(self) -> bool:
-        """True if the recordings determine the parameter."""
-        return bool(np.isfinite(self.error))
-
-
-@dataclass(frozen=True)
-class ConfoundedParameters:
-    """Parameters of a joint that the recordings cannot tell apart, and what would separate them.
-
-    **Attributes**
-
-    - `joint`: index of the joint, from 0.
-    - `parameters`: names of the parameters.
-    - `reason`: why they have the same effect in these recordings.
-    - `remedy`: the motion, load or known value that would separate them.
-
-    >>> from jaxcslc.servo import ConfoundedParameters
-    >>> pair = ConfoundedParameters(0, ("delay", "damping"), "slow motion", "add fast motion")
-    >>> pair.remedy
-    'add fast motion'
-    """
-
-    joint: int
-    parameters: tuple[str, ...]
-    reason: str
-    remedy: str
+# The share of a gain's value from which on its error makes it useless: the 95 % interval spans a
+# factor of four.
+_VAGUE_GAIN = 0.35
+_COARSE_STEP = 2.0 * LONGEST_STEP
+# Iterations: of the first search, of the later one, and of the one for all joints together.
+_COARSE, _AGAIN, _TOGETHER = 20, 6, 10
+_FACTORS = (1.0, 0.3, 0.1, 0.03)  # of the step of Gauss and Newton, tried one after the other
+_LITTLE = 2e-4  # part of the cost; less of a gain ends the search
+_START_NOISE = 0.005  # rad, of residuals, before the first search
+_START_CORRELATION = 50.0  # samples that carry the information of one, likewise
+_SMOOTHING = 0.12  # s, window of the cubic polynomials that give accelerations of other joints
+_LEANING_TICKS, _LEANING_TIME, _LEANING_EXCESS = 2.5, 0.5, 1.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,3 +93,514 @@ class ServoFit:
     units: Literal["torque", "gain"]
     confounded: tuple[ConfoundedParameters, ...] = ()
     notes: tuple[str, ...] = ()
+
+    def parameter(self, joint: int, name: str) -> ServoParameter:
+        """Return one estimate.
+
+        **Raises** `KeyError` for a parameter that was not estimated.
+        """
+        for parameter in self.parameters:
+            if (parameter.joint, parameter.name) == (joint, name):
+                return parameter
+        raise KeyError(f"joint {joint + 1}: {name} was not estimated")
+
+    def simulate(
+        self, recording: ServoRecording, payload: LinkParameters | None = None
+    ) -> Float[np.ndarray, "samples joints"]:
+        """Return positions simulated open loop from the recording's commands and its first sample.
+
+        **Raises** as `simulate` does.
+        """
+        return simulate(
+            with_payload(self.robot, payload),
+            self.drives,
+            recording.time,
+            recording.command,
+            recording.position[0],
+            _start_velocity(recording),
+        )
+
+    def position_error(
+        self,
+        recordings: Sequence[ServoRecording],
+        payloads: Sequence[LinkParameters | None] | None = None,
+    ) -> Float[np.ndarray, "recordings joints"]:
+        """Return root mean squares of simulated minus measured positions [mrad].
+
+        Each recording is simulated open loop, as by `simulate`.
+        """
+        carried = payloads or [None] * len(recordings)
+        return np.array(
+            [
+                1e3 * np.sqrt(np.mean((self.simulate(x, load) - x.position) ** 2, axis=0))
+                for x, load in zip(recordings, carried, strict=True)
+            ]
+        )
+
+
+def identify_servo(
+    robot: Manipulator,
+    recordings: ServoRecording | Sequence[ServoRecording],
+    *,
+    payloads: Sequence[LinkParameters | None] | None = None,
+    known: Mapping[str, float | Sequence[float]] | None = None,
+    estimated: Sequence[str] = ESTIMATED,
+    mass_error: float = MASS_ERROR,
+    progress: Progress = None,
+) -> ServoFit:
+    """Identify the drives of an arm of position servos from commands and positions alone.
+
+    The estimate is that of maximum likelihood of output errors: the drives whose simulation, open
+    loop from the commands, is nearest to the measured positions. Its errors count what the model
+    leaves unexplained as correlated noise (sandwich estimate over blocks of seconds).
+
+    **Arguments**
+
+    - `robot`: the arm, with the masses of its links.
+    - `recordings`: one or more, of the robot's joints in its order.
+    - `payloads`: the body that each recording's arm carried, in the frame of the last link, or
+      None for nothing. A known payload determines the unit of torque.
+    - `known`: drive parameters that are known, by name: one value, or one per joint.
+    - `estimated`: names of the parameters to estimate.
+    - `mass_error`: relative standard error of the robot's masses. Without a payload, the errors of
+      all torques have it. 0 takes the masses as exact; infinity leaves ratios to the gain alone.
+    - `progress`: a function for messages, or whether to show them.
+
+    **Returns** the drives with their intervals.
+
+    **Raises**
+
+    - `RobotError`: a robot without masses.
+    - `ValueError`: recordings of other joints, or names that are no parameters.
+    - `OSError`: no C compiler.
+
+    >>> import dataclasses
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.manipulator import LinkParameters
+    >>> from jaxcslc.servo import ServoDrive, ServoRecording, identify_servo, simulate
+    >>> rod = LinkParameters(0.5, np.array([0.2, 0.0, 0.0]), 0.002 * np.eye(3))
+    >>> arm = dataclasses.replace(jc.examples.pendulum(), links=(rod,))
+    >>> drive = ServoDrive(12.0, 0.8, delay=0.02, armature=0.02, coulomb=0.1)
+    >>> time = np.arange(0.0, 40.0, 0.02)
+    >>> command = (np.sin(time) + 0.4 * np.sin(2.7 * time) + 0.1 * np.sin(13.0 * time))[:, None]
+    >>> position = simulate(arm, [drive], time, command, [0.0])
+    >>> recording = ServoRecording(time, np.round(position, 3), command)
+    >>> names = ("gain", "damping", "delay", "armature", "coulomb")
+    >>> fit = identify_servo(arm, recording, estimated=names, mass_error=0.0)
+    >>> round(fit.drives[0].gain, 1), round(fit.drives[0].delay, 3)
+    (12.0, 0.02)
+    """
+    given = [recordings] if isinstance(recordings, ServoRecording) else list(recordings)
+    carried: list[LinkParameters | None] = list(payloads or [None] * len(given))
+    _check(robot, given, carried, estimated, mass_error)
+    base = _known_rows(robot, given, known or {})
+    names = tuple(name for name in estimated if name not in (known or {}))
+    with progress_steps(progress, "identify servos") as step:
+        search = _Search(robot, given, carried, base, names)
+        ratios_only = math.isinf(mass_error) and not search.is_absolute
+        scale_error = 0.0 if ratios_only else mass_error
+        step("searching for each joint alone")
+        search.alone()
+        step("searching for all joints together")
+        search.together(scale_error)
+        step("computing intervals")
+        return search.result(scale_error, ratios_only)
+
+
+def _check(
+    robot: Manipulator,
+    recordings: Sequence[ServoRecording],
+    payloads: Sequence[LinkParameters | None],
+    estimated: Sequence[str],
+    mass_error: float,
+) -> None:
+    if not recordings:
+        raise ValueError("no recordings; expected at least one")
+    if len(payloads) != len(recordings):
+        raise ValueError(f"{len(payloads)} payloads; expected {len(recordings)}, as recordings")
+    for number, recording in enumerate(recordings, start=1):
+        if recording.joints != robot.joint_count:
+            raise ValueError(
+                f"recording {number} has {recording.joints} joints; expected"
+                f" {robot.joint_count}, as robot {robot.name!r}"
+            )
+    for name in estimated:
+        if name not in UNKNOWNS:
+            raise ValueError(f"{name!r} cannot be estimated; expected of {' '.join(UNKNOWNS)}")
+    if not mass_error >= 0.0:
+        raise ValueError(f"mass_error: expected at least 0, got {mass_error}")
+
+
+def _known_rows(
+    robot: Manipulator,
+    recordings: Sequence[ServoRecording],
+    known: Mapping[str, float | Sequence[float]],
+) -> Float[np.ndarray, "joints parameters"]:
+    joints = robot.joint_count
+    rows = np.tile(np.array(astuple(ServoDrive(math.exp(UNKNOWNS["gain"].start)))), (joints, 1))
+    ticks = np.array([encoder_resolution(x.position) for x in recordings])
+    rows[:, NAMES.index("encoder_step")] = ticks.min(axis=0) if len(ticks) else 0.0
+    for name, value in known.items():
+        if name not in NAMES:
+            raise ValueError(f"known: {name!r} is no parameter; expected of {' '.join(NAMES)}")
+        values = np.asarray(value, float)
+        if values.shape not in ((), (joints,)):
+            raise ValueError(f"known: {name} has {values.size} values; expected 1 or {joints}")
+        rows[:, NAMES.index(name)] = values
+    return rows
+
+
+def _smoothed(
+    recording: ServoRecording,
+) -> tuple[Float[np.ndarray, "samples joints"], ...]:
+    """Return position, velocity and acceleration by local cubic polynomials."""
+    interval = float(np.median(np.diff(recording.time)))
+    window = max(5, 2 * round(0.5 * _SMOOTHING / interval) + 1)
+    window = min(window, recording.samples - 1 + recording.samples % 2)
+    return tuple(
+        savgol_filter(recording.position, window, 3, deriv=n, delta=interval, axis=0)
+        if n
+        else savgol_filter(recording.position, window, 3, axis=0)
+        for n in range(3)
+    )
+
+
+def _start_velocity(recording: ServoRecording) -> Float[np.ndarray, " joints"]:
+    """Return the velocity at the first sample; 0 where the joint moves less than two ticks."""
+    interval = float(np.median(np.diff(recording.time)))
+    first = recording.position[: max(5, round(0.5 * _SMOOTHING / interval))]
+    time = recording.time[: len(first)]
+    slopes = np.polynomial.polynomial.polyfit(time - time[0], first, 2)[1]
+    ticks = 2.0 * encoder_resolution(recording.position)
+    return np.where(np.ptp(first, axis=0) > ticks, slopes, 0.0)
+
+
+@dataclass
+class _Search:
+    """State of the search for all joints' drives."""
+
+    robot: Manipulator
+    recordings: list[ServoRecording]
+    payloads: Sequence[LinkParameters | None]
+    base: Float[np.ndarray, "joints parameters"]
+    names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        self.smooth = [_smoothed(x) for x in self.recordings]
+        self.velocities = [_start_velocity(x) for x in self.recordings]
+        self.offsets = self.base[:, NAMES.index("offset")].copy()
+        self.masses = 1.0
+        self.notes: list[str] = []
+        self.vague_gain = [False] * self.robot.joint_count
+        self.unknowns: list[np.ndarray] = []
+        self.problems: list[JointProblem] = []
+        self.simulated: list[np.ndarray] = []
+
+    @property
+    def has_payload(self) -> bool:
+        return any(payload is not None for payload in self.payloads)
+
+    def motions(self, offsets: Float[np.ndarray, " joints"]) -> list[tuple[JointMotion, ...]]:
+        """Return each joint's motions, under the loads that zero positions give."""
+        per_joint: list[list[JointMotion]] = [[] for _ in range(self.robot.joint_count)]
+        for recording, (q, v, a), payload, velocity in zip(
+            self.recordings, self.smooth, self.payloads, self.velocities, strict=True
+        ):
+            angles = q - offsets
+            arm = joint_loads(self.robot, angles, v, a)
+            loaded = None
+            if payload is not None:
+                loaded = joint_loads(with_payload(self.robot, payload), angles, v, a)
+            for i, motions in enumerate(per_joint):
+                motions.append(
+                    JointMotion(
+                        recording.time,
+                        np.ascontiguousarray(recording.command[:, i]),
+                        np.ascontiguousarray(recording.position[:, i]),
+                        np.array([recording.position[0, i], velocity[i]]),
+                        arm[i],
+                        None if loaded is None else loaded[i].less(arm[i]),
+                    )
+                )
+        return [tuple(motions) for motions in per_joint]
+
+    def alone(self) -> None:
+        """Search joint by joint from the regression, with coarse steps."""
+        weight = 1.0 / (_START_NOISE**2 * _START_CORRELATION)
+        self.problems = [
+            JointProblem(self.names, self.base[i].copy(), motions, weight, _COARSE_STEP)
+            for i, motions in enumerate(self.motions(self.offsets))
+        ]
+        starts: list[np.ndarray] = []
+        for i, problem in enumerate(self.problems):
+            found = regression(
+                problem.motions,
+                [v[:, i] for _, v, _ in self.smooth],
+                [a[:, i] for _, _, a in self.smooth],
+            )
+            starts.append(starting_point(self.names, found))
+        self.unknowns = self._minima(starts, _COARSE)
+        self._settle_gains()
+        self._find_ends()
+        self._take_motions(self._simulated(self.unknowns, self.masses))
+        self.unknowns = self._minima(self.unknowns, _AGAIN)
+
+    def _with_offsets(self, offsets: Float[np.ndarray, " joints"]) -> list[JointProblem]:
+        return [
+            dataclasses.replace(problem, motions=motions)
+            for problem, motions in zip(self.problems, self.motions(offsets), strict=True)
+        ]
+
+    def _offsets(self, unknowns: Sequence[np.ndarray]) -> Float[np.ndarray, " joints"]:
+        at = NAMES.index("offset")
+        pairs = zip(self.problems, unknowns, strict=True)
+        return np.array([problem.rows(x[None])[0, at] for problem, x in pairs])
+
+    def _minima(self, starts: Sequence[np.ndarray], iterations: int) -> list[np.ndarray]:
+        def minimum(i: int) -> np.ndarray:
+            return self.problems[i].minimum(starts[i], iterations, self.masses)
+
+        # C code runs without Python's lock.
+        with ThreadPoolExecutor() as pool:
+            return list(pool.map(minimum, range(len(starts))))
+
+    def _simulated(
+        self, unknowns: Sequence[np.ndarray], masses: float
+    ) -> list[Float[np.ndarray, "samples joints"]]:
+        """Return positions of the whole arm in each recording."""
+        drives = [
+            ServoDrive(*map(float, problem.rows(x[None])[0]))
+            for problem, x in zip(self.problems, unknowns, strict=True)
+        ]
+        robot = _scaled(self.robot, masses)
+
+        def positions(k: int) -> Float[np.ndarray, "samples joints"]:
+            recording = self.recordings[k]
+            return simulate(
+                with_payload(robot, self.payloads[k]),
+                drives,
+                recording.time,
+                recording.command,
+                recording.position[0],
+                self.velocities[k],
+            )
+
+        with ThreadPoolExecutor() as pool:
+            return list(pool.map(positions, range(len(self.recordings))))
+
+    def _misfits(self, simulated: Sequence[np.ndarray]) -> list[Float[np.ndarray, " samples"]]:
+        """Return each joint's residuals, all recordings joined."""
+        pairs = zip(simulated, self.recordings, strict=True)
+        joined = np.concatenate([position - x.position for position, x in pairs])
+        return list(np.ascontiguousarray(joined.T))
+
+    def _take_weights(self, misfits: Sequence[np.ndarray]) -> None:
+        for i, (problem, misfit) in enumerate(zip(self.problems, misfits, strict=True)):
+            weight = 1.0 / information_per_sample(misfit, problem)
+            self.problems[i] = dataclasses.replace(problem, weight=weight)
+
+    def _take_motions(self, simulated: Sequence[np.ndarray]) -> None:
+        """Take loads from a simulated motion, and from the zero positions found.
+
+        Accelerations of a simulation have no noise of encoders. Those of smoothed readings were
+        the largest error of fits to simulated arms.
+        """
+        self.offsets = self._offsets(self.unknowns)
+        for k, (recording, position) in enumerate(zip(self.recordings, simulated, strict=True)):
+            velocity = np.gradient(position, recording.time, axis=0)
+            interval = float(np.median(np.diff(recording.time)))
+            acceleration = np.zeros_like(position)
+            acceleration[1:-1] = np.diff(position, 2, axis=0) / interval**2
+            self.smooth[k] = (self.smooth[k][0], velocity, acceleration)
+        self.problems = self._with_offsets(self.offsets)
+
+    def _settle_gains(self) -> None:
+        """Fix gains that nothing determines to the mean of the others."""
+        if "gain" not in self.names:
+            return
+        at = self.names.index("gain")
+        gains = np.array([x[at] for x in self.unknowns])
+        errors: list[float] = []
+        for problem, x in zip(self.problems, self.unknowns, strict=True):
+            random = np.linalg.inv(problem.information(x, self.masses))[at, at]
+            # A misfit may be correlated with the load: it then falsifies the gain by as much.
+            misfit = float(np.mean(problem.residuals(x[None], self.masses) ** 2))
+            load = problem.load(x, self.masses) / math.exp(x[at])
+            errors.append(math.sqrt(random + misfit / max(load, 1e-9) ** 2))
+        weights = np.array(errors) ** -2.0
+        self.vague_gain = [error > _VAGUE_GAIN for error in errors]
+        sure = ~np.array(self.vague_gain)
+        common = float(np.average(gains[sure], weights=weights[sure])) if sure.any() else None
+        for i, vague in enumerate(self.vague_gain):
+            if not vague:
+                continue
+            row = self.base[i].copy()
+            gain = UNKNOWNS["gain"].start if common is None else common
+            row[NAMES.index("gain")] = math.exp(gain)
+            names = tuple(name for name in self.names if name != "gain")
+            self.problems[i] = dataclasses.replace(self.problems[i], names=names, known=row)
+            self.unknowns[i] = np.delete(self.unknowns[i], at)
+
+    def _find_ends(self) -> None:
+        """Find ends of travel on which a joint leans, and take the file's elsewhere."""
+        low, high = NAMES.index("low"), NAMES.index("high")
+        for i, problem in enumerate(self.problems):
+            row = problem.known.copy()
+            found = ServoDrive(*map(float, problem.rows(self.unknowns[i][None])[0]))
+            tick = row[NAMES.index("encoder_step")]
+            for index, sign in ((low, -1.0), (high, 1.0)):
+                if math.isfinite(row[index]):
+                    continue
+                end = sign * max(float(np.max(sign * x.position)) for x in problem.motions)
+                moved = [(v[:, i], a[:, i]) for _, v, a in self.smooth]
+                if _leans(problem.motions, moved, found, end, sign, tick):
+                    row[index] = end
+                    name = self.robot.joint_names[i]
+                    self.notes.append(f"{name} leans on an end of travel at {end:.3f} rad.")
+            self.problems[i] = dataclasses.replace(problem, known=row)
+
+    def together(self, mass_error: float) -> None:
+        """Search for all joints' unknowns together, with simulations of the whole arm.
+
+        The scale of the masses is one of the unknowns where something else fixes torques.
+        """
+        self.problems = [dataclasses.replace(x, longest_step=LONGEST_STEP) for x in self.problems]
+        simulated = self._simulated(self.unknowns, self.masses)
+        for _ in range(_TOGETHER):
+            self._take_motions(simulated)
+            self._take_weights(self._misfits(simulated))
+            before = self._cost(self.unknowns, self.masses, simulated, mass_error)
+            low = np.concatenate(
+                [problem.low - x for problem, x in zip(self.problems, self.unknowns, strict=True)]
+            )
+            step = self.stack(simulated, mass_error).step(np.append(low, -np.inf))
+            for factor in _FACTORS:
+                unknowns, masses = self._moved(factor * step)
+                trial = self._simulated(unknowns, masses)
+                cost = self._cost(unknowns, masses, trial, mass_error)
+                if cost < before:
+                    break
+            else:
+                break
+            self.unknowns, self.masses, simulated = unknowns, masses, trial
+            if cost > (1.0 - _LITTLE) * before:
+                break
+        self._take_motions(simulated)
+        self._take_weights(self._misfits(simulated))
+        self.simulated = simulated
+
+    def stack(self, simulated: Sequence[np.ndarray], mass_error: float) -> Stack:
+        """Linearise the problems of all joints."""
+        steps = OFFSET_STEP * np.eye(len(self.offsets))
+        shifted = [self._with_offsets(self.offsets + step) for step in steps]
+        misfits = self._misfits(simulated)
+        scale = self.masses, mass_error, self.is_absolute
+        return Stack.of(self.problems, shifted, self.unknowns, misfits, *scale)
+
+    def _moved(self, step: Float[np.ndarray, " unknowns"]) -> tuple[list[np.ndarray], float]:
+        ends = np.cumsum([len(x) for x in self.unknowns])
+        parts = np.split(step, ends)[:-1]
+        unknowns = [
+            np.maximum(x + part, problem.low)
+            for problem, x, part in zip(self.problems, self.unknowns, parts, strict=True)
+        ]
+        masses = self.masses * math.exp(float(step[-1])) if self.is_absolute else self.masses
+        return unknowns, masses
+
+    def _cost(
+        self,
+        unknowns: Sequence[np.ndarray],
+        masses: float,
+        simulated: Sequence[np.ndarray],
+        mass_error: float,
+    ) -> float:
+        costs = [
+            problem.weight * float(misfit @ misfit) + float(np.sum(problem.prior(x[None]) ** 2))
+            for problem, x, misfit in zip(
+                self.problems, unknowns, self._misfits(simulated), strict=True
+            )
+        ]
+        if self.is_absolute and mass_error > 0.0:
+            costs.append((math.log(masses) / mass_error) ** 2)
+        return sum(costs)
+
+    @property
+    def is_absolute(self) -> bool:
+        """True if something other than the links' masses fixes the unit of torque."""
+        return self.has_payload or "gain" not in self.names
+
+    def result(self, mass_error: float, ratios_only: bool) -> ServoFit:
+        """Return the fit with its intervals."""
+        rows = np.concatenate(
+            [problem.rows(x[None]) for problem, x in zip(self.problems, self.unknowns, strict=True)]
+        )
+        self._take_file_limits(rows)
+        stack = self.stack(self.simulated, mass_error)
+        parameters, covariance, refused = stack.parameters(
+            self.problems, self.unknowns, rows, self.vague_gain, ratios_only
+        )
+        confusions = [
+            pair
+            for i, problem in enumerate(self.problems)
+            for pair in confounded(i, problem, self.unknowns[i], self.masses)
+        ]
+        confusions += [
+            ConfoundedParameters(joint, (name,), *ALONE[name])
+            for joint, name in refused
+            if name in ALONE
+        ]
+        return ServoFit(
+            _scaled(self.robot, self.masses),
+            tuple(ServoDrive(*map(float, row)) for row in rows),
+            tuple(parameters),
+            covariance,
+            "gain" if ratios_only or all(self.vague_gain) else "torque",
+            tuple(confusions),
+            tuple(self.notes),
+        )
+
+    def _take_file_limits(self, rows: Float[np.ndarray, "joints parameters"]) -> None:
+        """Set the file's ends of travel where the recordings do not contradict them."""
+        low, high, offset = (NAMES.index(name) for name in ("low", "high", "offset"))
+        for i, limits in enumerate(self.robot.joint_limits):
+            positions = [x.position[:, i] for x in self.recordings]
+            if limits.low + rows[i, offset] < min(map(np.min, positions)):
+                rows[i, low] = max(rows[i, low], limits.low + rows[i, offset])
+            if limits.high + rows[i, offset] > max(map(np.max, positions)):
+                rows[i, high] = min(rows[i, high], limits.high + rows[i, offset])
+
+
+def _scaled(robot: Manipulator, factor: float) -> Manipulator:
+    links = tuple(
+        LinkParameters(
+            factor * link.mass, link.centre_of_gravity, factor * link.inertia, link.motor_inertia
+        )
+        for link in robot.links or ()
+    )
+    return dataclasses.replace(robot, links=links)
+
+
+def _leans(
+    motions: Sequence[JointMotion],
+    moved: Sequence[tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]],
+    drive: ServoDrive,
+    end: float,
+    sign: float,
+    tick: float,
+) -> bool:
+    """Return True if a joint stays at its extreme under errors that move it elsewhere.
+
+    A joint that friction holds is not meant: it moves as soon as the error exceeds that at which
+    it moved elsewhere, damping and inertia aside.
+    """
+    leaning, moving, interval = [0.0], [0.0], 0.0
+    for motion, (v, a) in zip(motions, moved, strict=True):
+        late = np.interp(motion.time - drive.delay, motion.time, motion.command)
+        braking = drive.damping * v + (drive.armature + motion.arm.inertia) * a
+        error = sign * (late - motion.position - braking / drive.gain)
+        at_end = sign * (end - motion.position) <= _LEANING_TICKS * tick
+        leaning.extend(error[at_end])
+        moving.extend(error[~at_end & (sign * v > MOVING)])
+        interval = float(np.median(np.diff(motion.time)))
+    threshold = _LEANING_EXCESS * max(float(np.quantile(moving, 0.99)), 2.0 * tick)
+    return interval * float(np.sum(np.array(leaning) > threshold)) > _LEANING_TIME

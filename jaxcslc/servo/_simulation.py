@@ -253,9 +253,17 @@ class JointLoads:
     torque: Float[np.ndarray, "samples 3"]
     inertia: Float[np.ndarray, " samples"]
 
+    def torque_at(self, q: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
+        """Return the torque of the links where the joint has position q."""
+        return self.torque[:, 0] + self.torque[:, 1] * np.cos(q) + self.torque[:, 2] * np.sin(q)
+
     def scaled(self, factor: float) -> "JointLoads":
         """Return the loads of links whose masses are multiplied by `factor`."""
         return JointLoads(factor * self.torque, factor * self.inertia)
+
+    def less(self, other: "JointLoads") -> "JointLoads":
+        """Return the difference of two loads, which is that of their bodies."""
+        return JointLoads(self.torque - other.torque, self.inertia - other.inertia)
 
 
 def joint_loads(

@@ -3,10 +3,11 @@
    Time stepping at the level of velocities (Moreau; Stewart and Trinkle, 1996): a step of h takes
    the velocity v to the one that solves the implicit equation of motion
 
-       M (v+ - v) = h (tau(v+) - bias - friction(v+)) + impulses of stops and play
+       M (v+ - v) = h (tau(mean) - bias - friction(v+)) + impulses of stops and play
 
-   Damping and friction are implicit, so that a joint at rest stays exactly at rest. In one joint
-   every force falls monotonically with v+, and the equation has one solution in closed form. */
+   where tau depends on a mean of v and v+, which makes the step second order without friction.
+   Friction is implicit, so that a joint at rest stays exactly at rest. In one joint every force
+   falls monotonically with v+, and the equation has one solution in closed form. */
 
 #include <math.h>
 #include <string.h>
@@ -49,52 +50,64 @@ static void begin(Joint *s, const double *p, double command, double rate, double
   }
 }
 
-/* v from A v = b + h (push - falling v) - h F sign(v); 0 where friction holds. */
-static double sliding(double A, double b, double push, double falling, double F, double h) {
-  double x = b + h * push, hold = h * F;
+/* What a step does to one side of the gear: its velocity afterwards, and the mean over the step. */
+typedef struct {
+  double v, mean;
+} Step;
+
+/* A step of an inertia A with velocity v and momentum b, under the torque push - falling * mean and
+   friction of level F, which may hold it. The mean velocity is that of a damped motion, which
+   decays as an exponential: both velocities count alike in short steps, the later one in long. */
+static Step slide(double A, double b, double v, double push, double falling, double F, double h) {
+  double z = h * falling / A;
+  double w = z < 1e-3 ? 0.5 + z / 12.0 : 1.0 / -expm1(-z) - 1.0 / z;
+  double x = b + h * (push - (1.0 - w) * falling * v), hold = h * F;
   x = x > hold ? x - hold : x < -hold ? x + hold : 0.0;
-  return x / (A + h * falling);
+  double after = x / (A + h * w * falling);
+  return (Step){after, w * after + (1.0 - w) * v};
 }
 
-/* Velocity that the servo gives to an inertia A of momentum b; A holds viscous friction. */
-static double driven(const Joint *s, const double *p, double A, double b, double h) {
-  double falling = p[DAMPING] + p[GAIN] * s->slope * h, limit = p[TORQUE_LIMIT];
-  double v = sliding(A, b, s->push, falling, s->friction, h);
-  if (isinf(limit)) return v;
+/* The servo's step of an inertia A with momentum b. Its spring acts in the middle of the step. */
+static Step drive(const Joint *s, const double *p, double A, double b, double h) {
+  double limit = p[TORQUE_LIMIT], viscous = p[VISCOUS], v = s->motor;
+  double falling = p[DAMPING] + 0.5 * h * s->slope * p[GAIN];
+  Step step = slide(A, b, v, s->push, falling + viscous, s->friction, h);
+  if (isinf(limit)) return step;
   double fall = isinf(p[SPEED_LIMIT]) ? 0.0 : limit / p[SPEED_LIMIT];
-  double torque = s->push - falling * v;
-  if (torque > limit - fall * v) return sliding(A, b, limit, fall, s->friction, h);
-  if (torque < -limit - fall * v) return sliding(A, b, -limit, fall, s->friction, h);
-  return v;
+  double torque = s->push - falling * step.mean;
+  double sign = torque > limit - fall * step.mean ? 1.0 : torque < -limit - fall * step.mean ? -1.0 : 0.0;
+  if (sign == 0.0) return step;
+  return slide(A, b, v, sign * limit, fall + viscous, s->friction, h);
 }
 
-/* New velocities of a joint whose links have inertia m and momentum b after their forces. */
-static void solve(const Joint *s, const double *p, double m, double b, double h, double *v,
-                  double *motor) {
-  double viscous = h * p[VISCOUS], J = p[ARMATURE];
-  double low = (p[LOW] - s->r) / h, high = (p[HIGH] - s->r) / h;
-  if (p[PLAY] == 0.0) {
-    *v = least(most(driven(s, p, m + J + viscous, b + J * s->motor, h), low), high);
-    *motor = *v;
-    return;
+/* A step of a joint whose links have inertia m and momentum b after their forces. */
+static void solve(const Joint *s, const double *p, double m, double b, double h, Step *links,
+                  Step *motor) {
+  double J = p[ARMATURE], half = 0.5 * p[PLAY];
+  if (half == 0.0) {
+    *motor = drive(s, p, m + J, b + J * s->motor, h);
+    *links = *motor;
+  } else {
+    *motor = drive(s, p, J, J * s->motor, h);
+    *links = (Step){b / m, 0.5 * (s->v + b / m)};
+    double gap = s->gap + h * (motor->mean - links->mean);
+    if (gap > half || gap < -half) { /* both flanks move together */
+      double w = ((gap > half ? half : -half) - s->gap) / h;
+      *motor = drive(s, p, m + J, b + m * w + J * s->motor, h);
+      *links = (Step){motor->v - w, motor->mean - w};
+    }
   }
-  double half = 0.5 * p[PLAY];
-  double freely = driven(s, p, J + viscous, J * s->motor, h), links = b / m;
-  double gap = s->gap + h * (freely - links);
-  if (gap > half || gap < -half) { /* both flanks move together */
-    double w = ((gap > half ? half : -half) - s->gap) / h;
-    freely = driven(s, p, m + J + viscous, b + m * w + J * s->motor, h);
-    links = freely - w;
-  }
-  *v = least(most(links, low), high);
-  *motor = freely;
+  double after = s->r + h * links->mean;
+  if (after > p[HIGH]) *links = (Step){least(links->v, 0.0), (p[HIGH] - s->r) / h};
+  if (after < p[LOW]) *links = (Step){most(links->v, 0.0), (p[LOW] - s->r) / h};
+  if (half == 0.0) *motor = *links;
 }
 
-static void finish(Joint *s, double v, double motor, double half, double h) {
-  s->gap = half > 0.0 ? least(half, most(-half, s->gap + h * (motor - v))) : 0.0;
-  s->r += h * v;
-  s->v = v;
-  s->motor = motor;
+static void finish(Joint *s, Step links, Step motor, double half, double h) {
+  s->gap = half > 0.0 ? least(half, most(-half, s->gap + h * (motor.mean - links.mean))) : 0.0;
+  s->r += h * links.mean;
+  s->v = links.v;
+  s->motor = motor.v;
 }
 
 /* A held command, averaged over a step. */
@@ -136,10 +149,10 @@ void simulate_joint(const double *time, const double *command, const double *sum
         double m = inertia[n] + x * (inertia[n + 1] - inertia[n]);
         double torque = a[0] + x * (b[0] - a[0]) + (a[1] + x * (b[1] - a[1])) * cos(q) +
                         (a[2] + x * (b[2] - a[2])) * sin(q);
-        double v, motor;
+        Step links, motor;
         begin(&s, p, (after - before) / h, p[LEAD] > 0.0 ? slope(&c) : 0.0, torque, h);
-        solve(&s, p, m, m * s.v - h * torque, h, &v, &motor);
-        finish(&s, v, motor, 0.5 * p[PLAY], h);
+        solve(&s, p, m, m * s.v - h * torque, h, &links, &motor);
+        finish(&s, links, motor, 0.5 * p[PLAY], h);
         before = after;
       }
       out[n + 1] = s.r;
@@ -302,7 +315,7 @@ void simulate_arm(const long *parent, const long *slides, const double *placemen
   Joint state[joints];
   Command commands[joints];
   double q[joints], v[joints], zero[joints], bias[joints], M[joints * joints], before[joints];
-  double new[joints], motor[joints];
+  Step new[joints], motor[joints];
   for (long i = 0; i < joints; i++) {
     const double *p = drives + i * PARAMETERS;
     state[i] = (Joint){.r = start[i], .v = start[joints + i], .motor = start[joints + i]};
@@ -327,16 +340,16 @@ void simulate_arm(const long *parent, const long *slides, const double *placemen
         begin(state + i, p, (after - before[i]) / h, p[LEAD] > 0.0 ? slope(commands + i) : 0.0,
               bias[i], h);
         before[i] = after;
-        new[i] = v[i];
+        new[i] = (Step){v[i], v[i]};
       }
       for (long sweep = 0; sweep < sweeps; sweep++) {
         double change = 0.0;
         for (long i = 0; i < joints; i++) {
-          double b = M[joints * i + i] * v[i] - h * bias[i], was = new[i];
+          double b = M[joints * i + i] * v[i] - h * bias[i], was = new[i].v;
           for (long j = 0; j < joints; j++)
-            if (j != i) b -= M[joints * i + j] * (new[j] - v[j]);
+            if (j != i) b -= M[joints * i + j] * (new[j].v - v[j]);
           solve(state + i, drives + i * PARAMETERS, M[joints * i + i], b, h, new + i, motor + i);
-          change = most(change, fabs(new[i] - was));
+          change = most(change, fabs(new[i].v - was));
         }
         if (change <= tolerance) break;
       }

@@ -1,0 +1,250 @@
+"""Covariance of what a search of servo drives found, and 95 % intervals of the parameters.
+
+Residuals of a simulation are correlated over seconds, since friction holds a joint where it is. The
+covariance therefore is a sandwich: blocks of seconds count as independent, and what a block says
+against the estimate is taken as it is (Huber, 1967; blocks as in Liang and Zeger, 1986).
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import t as student
+
+from ._drive import DRIVE_UNITS
+from ._search import NAMES, JointProblem
+
+
+_BLOCK = 2.0  # s: shortest blocks of residuals that count as independent
+_BLOCKS = 100  # as many at most
+_DETERMINED = 0.5  # part of the prior's deviation up to which an error counts as the recordings'
+_MASS_STEP = 0.02  # of the logarithm of the masses' scale, for derivatives
+_EXACT = 1e-6  # relative error of masses that count as exact
+OFFSET_STEP = 0.01
+"""Change of a zero position [rad] from which derivatives of loads are taken."""
+
+
+@dataclass(frozen=True)
+class ServoParameter:
+    """Estimate of one parameter of a drive, with its 95 % interval.
+
+    **Attributes**
+
+    - `joint`: index of the joint, from 0.
+    - `name`: of the parameter, as of `ServoDrive`; `"coulomb/gain"` and the like where only the
+      ratio is determined.
+    - `value`, `error`: estimate and standard error; the error is infinite if the recordings do not
+      determine the parameter.
+    - `low`, `high`: ends of the 95 % interval.
+    - `unit`: of all four.
+
+    >>> from jaxcslc.servo import ServoParameter
+    >>> ServoParameter(0, "delay", 0.04, 0.001, 0.038, 0.042, "s").is_determined
+    True
+    """
+
+    joint: int
+    name: str
+    value: float
+    error: float
+    low: float
+    high: float
+    unit: str
+
+    @property
+    def is_determined(self) -> bool:
+        """True if the recordings determine the parameter."""
+        return math.isfinite(self.error)
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """Unknowns of all joints, one after the other, and then the logarithm of the masses' scale.
+
+    **Attributes**
+
+    - `gradient`: of half the cost.
+    - `information`: its second derivatives (Gauss and Newton), priors included.
+    - `covariance`: of the unknowns.
+    - `blocks`: number of blocks of residuals.
+    - `has_scale`: whether the recordings and not the masses' prior alone determine the scale.
+    """
+
+    gradient: Float[np.ndarray, " unknowns"]
+    information: Float[np.ndarray, "unknowns unknowns"]
+    covariance: Float[np.ndarray, "unknowns unknowns"]
+    blocks: int
+    has_scale: bool
+
+    @classmethod
+    def of(
+        cls,
+        problems: Sequence[JointProblem],
+        shifted: Sequence[Sequence[JointProblem]],
+        unknowns: Sequence[np.ndarray],
+        misfits: Sequence[np.ndarray],
+        masses: float,
+        mass_error: float,
+        has_scale: bool,
+    ) -> "Stack":
+        """Linearise the problems of all joints.
+
+        - `misfits`: residuals of each joint in a simulation of the whole arm; derivatives are those
+          of joints alone, which leave out what a joint does to its neighbours' accelerations.
+        - `shifted`: for each joint, the problems with its zero position moved by `OFFSET_STEP`, as
+          the loads of the other joints see it.
+        - `mass_error`: prior standard error of the masses' scale.
+        """
+        ends = np.cumsum([0, *[len(x) for x in unknowns]])
+        size = int(ends[-1]) + 1
+        slices = _slices(problems[0])
+        prior, gradient = np.zeros(size), np.zeros(size)
+        information, score = np.zeros((size, size)), np.zeros((len(slices), size))
+        for i, (problem, x) in enumerate(zip(problems, unknowns, strict=True)):
+            residuals, own = problem.linearised(x, 0.5, masses)
+            J = np.zeros((len(residuals), size))
+            J[:, ends[i] : ends[i + 1]] = own
+            for j, others in enumerate(shifted):
+                if j != i and "offset" in problems[j].names:
+                    change = others[i].residuals(x[None], masses)[0] - residuals
+                    J[:, ends[j] + problems[j].names.index("offset")] = change / OFFSET_STEP
+            if has_scale:
+                up, down = (
+                    problem.residuals(x[None], masses * math.exp(step))[0]
+                    for step in (_MASS_STEP, -_MASS_STEP)
+                )
+                J[:, -1] = (up - down) / (2.0 * _MASS_STEP)
+            deviations = np.array([unknown.deviation for unknown in problem.unknowns])
+            prior[ends[i] : ends[i + 1]] = deviations**-2.0
+            gradient[ends[i] : ends[i + 1]] += problem.prior(x[None])[0] / deviations
+            misfit = misfits[i]
+            gradient += problem.weight * (J.T @ misfit)
+            information += problem.weight * (J.T @ J)
+            score += problem.weight * np.array([J[part].T @ misfit[part] for part in slices])
+        # A scale without error is no unknown: a very small error keeps the matrices regular.
+        prior[-1] = max(mass_error, _EXACT) ** -2.0
+        gradient[-1] += prior[-1] * math.log(masses)
+        information += np.diag(prior)
+        most = max(len(x) for x in unknowns)
+        correction = len(slices) / max(len(slices) - most, 1)
+        bread = np.linalg.inv(information)
+        covariance = bread @ (correction * score.T @ score + np.diag(prior)) @ bread
+        return cls(gradient, information, covariance, len(slices), has_scale)
+
+    def step(self, low: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, " unknowns"]:
+        """Return the step of Gauss and Newton.
+
+        - `low`: step that takes each unknown to its lower bound.
+        """
+        free = (low < 0.0) | (self.gradient < 0.0)
+        step = np.zeros_like(self.gradient)
+        step[free] = -np.linalg.solve(self.information[np.ix_(free, free)], self.gradient[free])
+        return np.maximum(step, low)
+
+    def parameters(
+        self,
+        problems: Sequence[JointProblem],
+        unknowns: Sequence[np.ndarray],
+        rows: Float[np.ndarray, "joints fields"],
+        vague_gain: Sequence[bool],
+        ratios_only: bool,
+    ) -> tuple[
+        list[ServoParameter], Float[np.ndarray, "parameters parameters"], list[tuple[int, str]]
+    ]:
+        """Return the estimates, their covariance, and those that are not determined.
+
+        Torques of a joint whose gain is not determined are reported as ratios to it.
+        """
+        size = len(self.covariance)
+        spread = np.sqrt(np.diag(self.covariance))
+        found: list[tuple[int, str, float, bool]] = []
+        derivatives: list[np.ndarray] = []
+        at = 0
+        gain_index = NAMES.index("gain")
+        for joint, (problem, x) in enumerate(zip(problems, unknowns, strict=True)):
+            gain = float(rows[joint, gain_index])
+            as_ratio = ratios_only or vague_gain[joint]
+            if vague_gain[joint]:
+                found.append((joint, "gain", gain, False))
+                derivatives.append(np.zeros(size))
+            gain_at = at + problem.names.index("gain") if "gain" in problem.names else None
+            for k, (name, unknown) in enumerate(zip(problem.names, problem.unknowns, strict=True)):
+                derivative, value = np.zeros(size), float(x[k])
+                label = name
+                if unknown.form == "log":
+                    value = math.exp(value)
+                    derivative[at + k] = value
+                else:
+                    derivative[at + k] = 1.0
+                if unknown.form == "ratio" and as_ratio:
+                    label = f"{name}/gain"
+                elif unknown.form == "ratio":
+                    value *= gain
+                    derivative[at + k] = gain
+                    if gain_at is not None:
+                        derivative[gain_at] = value
+                torque = name == "gain" or unknown.form == "ratio"
+                if torque and gain_at is not None and not self.has_scale and not as_ratio:
+                    derivative[-1] = value
+                sure = spread[at + k] < _DETERMINED * unknown.deviation
+                found.append((joint, label, value, sure and not (name == "gain" and ratios_only)))
+                derivatives.append(derivative)
+            at += len(x)
+        T = np.array(derivatives)
+        covariance = T @ self.covariance @ T.T
+        quantile = float(student.ppf(0.975, max(self.blocks - 1, 1)))
+        parameters: list[ServoParameter] = []
+        for (joint, name, value, sure), variance in zip(found, np.diag(covariance), strict=True):
+            error = math.sqrt(max(variance, 0.0)) if sure else math.inf
+            low, high = value - quantile * error, value + quantile * error
+            if name == "gain" and sure:
+                low, high = (value * math.exp(x * quantile * error / value) for x in (-1.0, 1.0))
+            if name != "offset":
+                low = max(low, 0.0)
+            parameters.append(ServoParameter(joint, name, value, error, low, high, unit_of(name)))
+        refused = [
+            (joint, name.removesuffix("/gain")) for joint, name, _, sure in found if not sure
+        ]
+        return parameters, covariance, refused
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a parameter, or of its ratio to the gain."""
+    ratio, _, over = name.partition("/")
+    if not over:
+        return DRIVE_UNITS[name]
+    return {
+        "damping": "s",
+        "viscous": "s",
+        "integral": "1/s",
+        "armature": "s²",
+    }.get(ratio, "rad")
+
+
+def information_per_sample(
+    residuals: Float[np.ndarray, " samples"], problem: JointProblem
+) -> float:
+    """Return the residuals' variance times the number of samples that count as one [rad²]."""
+    parts = _slices(problem)
+    sums = np.array([np.sum(residuals[part]) for part in parts])
+    lengths = np.array([part.stop - part.start for part in parts])
+    variance = float(np.mean(residuals**2))
+    floor = max(variance, 1e-12)
+    return max(float(np.sum(sums**2) / np.sum(lengths)), floor)
+
+
+def _slices(problem: JointProblem) -> list[slice]:
+    total = sum(float(motion.time[-1] - motion.time[0]) for motion in problem.motions)
+    block = max(_BLOCK, total / _BLOCKS)
+    slices: list[slice] = []
+    start = 0
+    for motion in problem.motions:
+        duration = float(motion.time[-1] - motion.time[0])
+        count = max(1, round(duration / block))
+        edges = start + np.linspace(0, motion.time.size, count + 1).astype(int)
+        slices += [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
+        start += motion.time.size
+    return slices
