@@ -14,6 +14,7 @@ Modules, in reading order:
 - `_nearest_bodies`: semidefinite least squares, of one body and of all links.
 - `_principal_programme`: search for links with principal axes.
 - `_physical_parameters`: link parameters of a fit.
+- `_file_prior`: the robot's file as prior of coefficients, and its width.
 - `_possible_fit`: possible bodies compared with the unconstrained fit on held-out data.
 """
 
@@ -24,6 +25,14 @@ from ._body import (
     body_of_pseudo_inertia as body_of_pseudo_inertia,
     link_of as link_of,
     pseudo_inertia as pseudo_inertia,
+)
+from ._file_prior import (
+    DECIDED as DECIDED,
+    WIDTH as WIDTH,
+    ChosenPrior as ChosenPrior,
+    FilePrior as FilePrior,
+    FileWeight as FileWeight,
+    chosen_prior as chosen_prior,
 )
 from ._nearest_bodies import (
     Fitted as Fitted,
@@ -53,6 +62,7 @@ from ._possible_fit import (
 )
 from ._prior import (
     Known as Known,
+    KnownRows as KnownRows,
     LinkKnowledge as LinkKnowledge,
     Prior as Prior,
     information_rows as information_rows,
@@ -64,6 +74,8 @@ from ._prior import (
 
 __all__ = [
     "POSSIBILITY",
+    "FilePrior",
+    "FileWeight",
     "Fitted",
     "Known",
     "LinkKnowledge",

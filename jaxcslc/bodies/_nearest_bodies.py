@@ -290,6 +290,14 @@ def in_units_of(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "10 16"]:
     return np.stack(columns, axis=1)
 
 
+def _in_units(
+    unit: Float[np.ndarray, "10 16"], body: Float[np.ndarray, "10"]
+) -> Float[np.ndarray, "16"]:
+    """Return the entries of the symmetric J̃ of a body, for the matrix of `in_units_of`."""
+    # The least solution is the symmetric one: entries across the diagonal count alike.
+    return np.linalg.lstsq(unit, body)[0]
+
+
 def _ball(
     body: Float[np.ndarray, "10"],
     covariance: Float[np.ndarray, "10 10"],
@@ -435,6 +443,21 @@ def _origin(joint: Joint) -> Float[np.ndarray, "3"]:
     return turn @ across + np.array([0.0, 0.0, b])
 
 
+class Confidence(NamedTuple):
+    """Errors of bodies that are a prior.
+
+    - `units`: (n, 10) bodies that changes of links are measured by.
+    - `motors`: (n,) standard errors of motor inertias.
+    - `width`: standard error of a link, in units of its `units`.
+    - `correlation`: times that errors of a fit exceed those of independent samples, as variances.
+    """
+
+    units: Float[np.ndarray, "links 10"]
+    motors: Float[np.ndarray, " links"]
+    width: float
+    correlation: float
+
+
 WEAK = 0.01
 """The weight of a prior that decides only what the data do not: standard errors that a change by
 the whole of it counts."""
@@ -460,7 +483,8 @@ class NearestBodies:
     - `fixed`: bodies that are fixed to links and known.
     - `prior`: bodies to keep to where the data say nothing; `others`: the same of the others.
     - `bounded`: 1 for others that cannot be negative.
-    - `weight`: standard errors that a change of a body by its whole prior counts.
+    - `units`: bodies that changes are measured by.
+    - `weight`: standard errors that a change of a body by its whole unit counts.
     - `known`: 1 for others that the prior knows: motor inertias of the robot's file. A motor
       inertia that it lacks is no measurement of zero, and counts by `WEAK` at most.
     - `informed`: whether bodies of the prior are those of the robot, not balls.
@@ -472,6 +496,7 @@ class NearestBodies:
     whitening: Float[np.ndarray, "rank coefficients"]
     fixed: Float[np.ndarray, "links 10"]
     prior: PriorBodies
+    units: Float[np.ndarray, "links 10"]
     body_columns: Float[np.ndarray, "coefficients links 10"]
     other_columns: Float[np.ndarray, "coefficients others"]
     others: Float[np.ndarray, " others"]
@@ -493,6 +518,7 @@ class NearestBodies:
         weight: float,
         motors: bool = True,
         knowledge: Sequence[LinkKnowledge] = (),
+        confidence: Confidence | None = None,
     ) -> "NearestBodies":
         """The programme of a fit; arguments are those of `physical_parameters`.
 
@@ -524,6 +550,14 @@ class NearestBodies:
             masses = [float(link.mass) for link in links if float(link.mass) > 0]
             ball = balls(robot, float(np.mean(masses or [1.0])))
             prior_bodies = prior_of(robot, links, ball, fixed_bodies)
+        units, known = prior_bodies.bodies, prior_bodies.motors > 0
+        white_scale = 1.0
+        if confidence is not None:
+            units, known = confidence.units, np.ones(robot.joint_count, bool)
+            weight, white_scale = 1.0 / confidence.width, confidence.correlation**-0.5
+            prior_bodies = dataclasses.replace(
+                prior_bodies, motor_scales=confidence.motors / confidence.width
+            )
 
         errors = np.sqrt(np.maximum(np.diag(np.asarray(fit.covariance, float)), 0.0))[others]
         sizes = np.maximum(np.abs(k[others]), errors)
@@ -543,16 +577,17 @@ class NearestBodies:
         return cls(
             robot=robot,
             k=k,
-            whitening=whitening(fit, np.where(typical > 0, typical, 1.0)),
+            whitening=white_scale * whitening(fit, np.where(typical > 0, typical, 1.0)),
             fixed=fixed_bodies,
             prior=prior_bodies,
+            units=units,
             body_columns=body_columns,
             other_columns=other_columns,
             others=np.concatenate([prior_bodies.motors[motor_mask], start]) / scales,
             bounded=np.concatenate([np.ones(motor_count), 1.0 * positive]),
             scales=scales,
             weight=weight,
-            known=np.concatenate([prior_bodies.motors[motor_mask] > 0, 0.0 * others]),
+            known=np.concatenate([1.0 * known[motor_mask], 0.0 * others]),
             informed=links is not None,
             knowledge=tuple(knowledge),
         )
@@ -588,11 +623,12 @@ class NearestBodies:
 
     def _convex(self, least: float) -> Optimum | None:
         count = len(self.prior.bodies)
-        units = [in_units_of(body) for body in self.prior.bodies]
+        units = [in_units_of(body) for body in self.units]
+        start = [_in_units(unit, body) for unit, body in zip(units, self.prior.bodies, strict=True)]
         columns = [self.body_columns[:, i] @ unit for i, unit in enumerate(units)]
         matrix = self.whitening @ np.concatenate([*columns, self.other_columns], axis=1)
         of_fixed = np.einsum("ple,le->p", self.body_columns, self.fixed)
-        wanted = np.concatenate([np.tile(np.eye(4).ravel(), count), self.others])
+        wanted = np.concatenate([*start, self.others])
         rows: list[np.ndarray] = []
         values: list[float] = []
         for i, (inertia, unit) in enumerate(zip(self.robot.inertia, units, strict=True)):

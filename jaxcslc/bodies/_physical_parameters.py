@@ -18,7 +18,7 @@ from ..manipulator import LinkParameters, Manipulator, seen_from
 from ..network import CSLC
 from ..recordings import Patterns
 from ._body import bodies_of, body_of, constrained, link_of
-from ._nearest_bodies import WEAK, Fitted, NearestBodies, by_discrepancy
+from ._nearest_bodies import WEAK, Confidence, Fitted, NearestBodies, by_discrepancy
 from ._prior import LinkKnowledge
 
 
@@ -118,6 +118,7 @@ def physical_parameters(
     fixed: Sequence[LinkParameters | None] | None = None,
     patterns: Patterns | None = None,
     motors: bool = True,
+    confidence: Confidence | None = None,
     prior_weight: float | None = None,
     least: float = LEAST,
     knowledge: Sequence[LinkKnowledge] = (),
@@ -154,6 +155,7 @@ def physical_parameters(
     - `patterns`: over which `torque_distance` is measured.
     - `motors`: whether joints have motor inertia where the network has it; False fixes it at zero,
       as for a file format without it.
+    - `confidence`: errors of the prior, which then enters with its own weight.
     - `prior_weight`: w, how many standard errors a change of a body by its whole prior counts. If
       omitted, the largest up to 10 whose bodies are as near to the fit as errors of the data let
       the truth be (the discrepancy principle, Morozov 1966), or 0.01 where the prior is balls.
@@ -199,8 +201,9 @@ def physical_parameters(
         weight=prior_weight or WEAK,
         motors=motors,
         knowledge=knowledge,
+        confidence=confidence,
     )
-    if prior_weight is None:
+    if prior_weight is None and confidence is None:
         problem, optimum = by_discrepancy(problem, least)
     else:
         optimum = problem.solve(least)
@@ -264,13 +267,21 @@ def possible_coefficients(
     fixed: Sequence[LinkParameters | None] | None,
     knowledge: Sequence[LinkKnowledge],
     prior_weight: float,
+    prior: Sequence[LinkParameters] | None = None,
+    confidence: Confidence | None = None,
 ) -> Float[np.ndarray, " coefficients"]:
     """The coefficients of `physical_parameters`, without the parameters.
 
     **Raises** as `physical_parameters`.
     """
     problem = NearestBodies.from_fit(
-        network, fit, fixed=fixed, weight=prior_weight, knowledge=knowledge
+        network,
+        fit,
+        fixed=fixed,
+        weight=prior_weight,
+        knowledge=knowledge,
+        confidence=confidence,
+        prior=prior,
     )
     optimum = problem.solve(LEAST)
     if optimum is None:

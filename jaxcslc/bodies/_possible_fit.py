@@ -31,6 +31,7 @@ from ..uncertainty import (
     judged_errors,
     standard_uncertainty,
 )
+from ._file_prior import FilePrior
 from ._physical_parameters import (
     PhysicalParameters,
     distances_from,
@@ -38,7 +39,7 @@ from ._physical_parameters import (
     physical_parameters,
     possible_coefficients,
 )
-from ._prior import LinkKnowledge, Prior, with_knowledge
+from ._prior import LinkKnowledge, Prior
 
 
 # A coefficient that moves by more combined standard errors is warned of: one in sixteen thousand
@@ -152,6 +153,7 @@ class JudgedPart(NamedTuple):
     - `columns`: of the part's regressor, for each joint those of its support.
     - `torque`, `mask`: of the part.
     - `fit`: of the others, whose coefficients need not be those of possible bodies.
+    - `base`: the same without the robot's file as prior; `fit` if None.
     """
 
     support: tuple[tuple[int, ...], ...]
@@ -159,6 +161,7 @@ class JudgedPart(NamedTuple):
     torque: Float[np.ndarray, "samples joints"]
     mask: Bool[np.ndarray, "samples joints"]
     fit: Identification | FoldFit
+    base: Identification | FoldFit | None = None
 
     @classmethod
     def of(cls, network: CSLC, patterns: Patterns, fit: Identification | FoldFit) -> "JudgedPart":
@@ -307,6 +310,8 @@ def possible_fit(
     always: bool = False,
     knowledge: Sequence[LinkKnowledge] = (),
     parameters: PhysicalParameters | None = None,
+    file: FilePrior | None = None,
+    base: Identification | None = None,
     step: Callable[[str], None] = lambda _: None,
 ) -> PossibleFit:
     """The possible bodies nearest to a fit, and whether they predict torque better than it does.
@@ -319,6 +324,8 @@ def possible_fit(
     - `parts`: two or more, of which `training` consists; `source`: what they are.
     - `systematic`: of the fit, for the errors that movements are counted in.
     - `parameters`: bodies that an estimator has fitted itself; those nearest to the fit if None.
+    - `file`: the robot's file as prior, which informs `fit`.
+    - `base`: `fit` without it.
 
     **Raises** as `physical_parameters`.
     """
@@ -326,7 +333,13 @@ def possible_fit(
     fixed = fixed_bodies(network.robot)
     if parameters is None:
         parameters = physical_parameters(
-            network, fit, fixed=fixed, patterns=training, knowledge=knowledge
+            network,
+            fit if base is None else base,
+            None if file is None else file.bodies,
+            fixed=fixed,
+            patterns=training,
+            knowledge=knowledge,
+            confidence=None if file is None else file.confidence,
         )
     else:
         parameters = distances_from(fit, network, parameters, training)
@@ -339,7 +352,13 @@ def possible_fit(
     for part in parts:
         if id(part.fit) not in coefficients:
             coefficients[id(part.fit)] = possible_coefficients(
-                network, part.fit, fixed, knowledge, weight
+                network,
+                part.fit if part.base is None else part.base,
+                fixed,
+                knowledge,
+                weight,
+                None if file is None else file.bodies,
+                None if file is None else file.confidence,
             )
     errors = [part.errors(coefficients[id(part.fit)]) for part in parts]
     masks = [part.mask for part in parts]
@@ -367,6 +386,8 @@ def judged_bodies(
     *,
     choice: Choice,
     prior: Prior | None,
+    file: FilePrior | None = None,
+    base: Identification | None = None,
     source: Source = "cross-validation",
     systematic: SystematicError | None = None,
     parameters: PhysicalParameters | None = None,
@@ -375,15 +396,18 @@ def judged_bodies(
     """Return possible bodies, held-out errors of the coefficients to use, and warnings.
 
     Bodies are None if they were not asked for or, with `"auto"`, could not be computed; errors are
-    None if nothing made parts necessary. `parts` do not know yet what `prior` says.
+    None if nothing made parts necessary.
+
+    - `parts`: fits without them know what `prior` and the robot's file say.
+    - `file`, `base`: as of `possible_fit`; None where the robot's file is no prior.
 
     **Raises** as `possible_fit`, except for `"auto"`.
     """
     prior = prior or Prior()
     known = prior.coefficient_values(network)
-    if choice == "never" and not known:
+    if choice == "never" and not known and file is None:
         return None, None, ()
-    informed = [part._replace(fit=with_knowledge(part.fit, known)) for part in parts()]
+    informed = parts()
     always = choice == "always" or bool(prior.links)
     warnings: tuple[str, ...] = ()
     if choice != "never":
@@ -398,6 +422,8 @@ def judged_bodies(
                 always=always,
                 knowledge=prior.link_values(network.robot),
                 parameters=parameters,
+                file=file,
+                base=base,
                 step=step,
             )
         except (ValueError, RuntimeError, MissingExtraError) as error:

@@ -365,12 +365,29 @@ _SMALLEST = 1e-9
 FINEST = 1e-6
 
 
+class KnownRows(NamedTuple):
+    """Knowledge of combinations of coefficients, in units of its standard error.
+
+    - `matrix`, `target`: `matrix @ k` should equal the target.
+    - `correlation`: times that errors of a fit exceed those of independent samples, as variances,
+      where it is weighed against this knowledge.
+    """
+
+    matrix: Float[np.ndarray, "rows coefficients"]
+    target: Float[np.ndarray, " rows"]
+    correlation: float
+
+
 @overload
-def with_knowledge(fit: Identification, known: Mapping[int, Known]) -> Identification: ...
-@overload
-def with_knowledge(fit: FoldFit, known: Mapping[int, Known]) -> FoldFit: ...
 def with_knowledge(
-    fit: Identification | FoldFit, known: Mapping[int, Known]
+    fit: Identification, known: Mapping[int, Known], rows: KnownRows | None = None
+) -> Identification: ...
+@overload
+def with_knowledge(
+    fit: FoldFit, known: Mapping[int, Known], rows: KnownRows | None = None
+) -> FoldFit: ...
+def with_knowledge(
+    fit: Identification | FoldFit, known: Mapping[int, Known], rows: KnownRows | None = None
 ) -> Identification | FoldFit:
     """A fit to which is added what was known of its coefficients before.
 
@@ -390,10 +407,11 @@ def with_knowledge(
 
     - `fit`: an `Identification` or a fit without a fold.
     - `known`: by index of a coefficient.
+    - `rows`: what is known of combinations, as by the robot's file.
 
     **Returns** a fit of the same kind.
     """
-    if not known:
+    if not known and rows is None:
         return fit
     k = np.asarray(fit.k, float)
     fixed = np.array([i for i, entry in known.items() if entry.fixed], int)
@@ -401,15 +419,19 @@ def with_knowledge(
     values = np.array([known[i].value for i in fixed], float)
     white = information_rows(fit, k)
     soft = [(i, entry) for i, entry in known.items() if entry.error > 0.0]
-    rows = np.zeros((len(soft), len(k)))
+    prior = np.zeros((len(soft), len(k)))
     target = np.zeros(len(soft))
     for row, (i, entry) in enumerate(soft):
-        rows[row, i] = 1.0 / entry.error
+        prior[row, i] = 1.0 / entry.error
         target[row] = float(entry.value or 0.0) / entry.error
+    if rows is not None:
+        white = white / np.sqrt(rows.correlation)
+        prior = np.concatenate([prior, rows.matrix])
+        target = np.concatenate([target, rows.target])
     start = k.copy()
     start[fixed] = values
-    matrix = np.concatenate([white, rows])
-    missing = np.concatenate([white @ (k - start), target - rows @ start])
+    matrix = np.concatenate([white, prior])
+    missing = np.concatenate([white @ (k - start), target - prior @ start])
     inverse = pseudo_inverse(matrix[:, free], _SMALLEST)
     null = null_vectors(matrix[:, free], _SMALLEST)
     change = inverse @ missing
@@ -419,7 +441,7 @@ def with_knowledge(
     # What errors of the fit and of the values do to the coefficients that are not fixed.
     of_white, of_values = np.split(inverse, [len(white)], axis=1)
     follow = np.zeros((len(free), len(k)))
-    follow[:, free] = np.eye(len(free)) - of_values @ rows[:, free]
+    follow[:, free] = np.eye(len(free)) - of_values @ prior[:, free]
     follow[:, fixed] = of_white @ white[:, fixed]
 
     def covariance_of(covariance: Any) -> Float[np.ndarray, "coefficients coefficients"]:

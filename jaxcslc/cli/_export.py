@@ -83,6 +83,7 @@ def export_command(
                 motion=saved.motion,
                 motors=motors,
                 systematic=saved.systematic,
+                file_weight=saved.file_prior,
                 progress=step,
             )
             text = str(exported) + _pre_sliding(saved, "is omitted: Coulomb friction is a step")

@@ -144,6 +144,14 @@ class IdentifyOptions:
         ),
     ] = None
     prior: PriorOption = None
+    file_prior: Annotated[
+        bool,
+        option(
+            group="knowledge",
+            help="Ignore the masses and inertias of the robot's file. By default they are a prior:"
+            " they decide what the motion leaves open.",
+        ),
+    ] = True
     reidentify: Annotated[
         str | None,
         option(
@@ -303,6 +311,7 @@ def _identified(
         systematic=options.systematic,
         possible=options.physical,
         prior=prior,
+        file_prior=options.file_prior,
         memory=options.memory,
         horizon=options.simulate,
         progress=step,

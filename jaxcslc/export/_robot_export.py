@@ -17,6 +17,8 @@ from jaxtyping import Array, Float
 from .._scratch import all_together, hidden_beside
 from .._text_table import text_table
 from ..bodies import (
+    FilePrior,
+    FileWeight,
     PhysicalParameters,
     fixed_bodies,
     moved_bodies,
@@ -309,6 +311,7 @@ def export_robot(
     motion: Patterns | None = None,
     motors: bool = True,
     systematic: SystematicError | None = None,
+    file_weight: FileWeight | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> RobotExport:
     """Write the possible parameters nearest to an identification into a copy of the robot's file.
@@ -325,6 +328,8 @@ def export_robot(
     - `motors`: whether joints have motor inertia where the network has it. False fixes it at zero:
       for a simulator that has none, at the cost of bodies that make up for it.
     - `systematic`: of the fit: added to the standard errors that movements are counted in.
+    - `file_weight`: of the fit, if the robot's file was a prior of it (`Report.file_prior`). What
+      the motion does not determine is then shared out as the file has it.
     - `progress`: is called with a short text at the start of every step.
 
     **Returns** the parameters, the written file, and how well it reproduces their torque.
@@ -353,7 +358,18 @@ def export_robot(
     else:
         states = motion
     report("fitting physically consistent parameters")
-    parameters = physical_parameters(network, fit, fixed=fixed, patterns=states, motors=motors)
+    prior = None if file_weight is None else FilePrior.of(network)
+    if prior is not None and file_weight is not None:
+        prior = prior.with_link_widths(file_weight.widths)
+    parameters = physical_parameters(
+        network,
+        fit,
+        None if prior is None else prior.bodies,
+        fixed=fixed,
+        patterns=states,
+        motors=motors,
+        confidence=None if prior is None else prior.confidence,
+    )
     report("writing and reading again")
     written = write_robot(network, parameters, path, states=(states.q, states.qd, states.qdd))
     warnings = moved_bodies(network, fit, parameters, systematic, motors=motors)

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..bodies import with_knowledge
 from ..friction import along_motion
 from ..least_squares import Identification, Settings, torque_of
 from ..likelihood import LikelihoodFit, Misfit
@@ -118,7 +117,7 @@ class AbstractEstimator(abc.ABC):
         That is the validation recording or, without one, the last part of each training recording.
         """
         fit = self.fit(problem)
-        informed = with_knowledge(fit.identification, problem.known)
+        informed = problem.informed(fit.identification)
         informed = dataclasses.replace(fit, identification=informed)
         if problem.validation is None:
             problem.step("judging the fit")
@@ -137,7 +136,7 @@ class AbstractEstimator(abc.ABC):
     def _held_out(self, problem: Problem, fit: Fit) -> HeldOut:
         """Errors on the last part of each training recording, of a fit to what is before it."""
         earlier, late = split_recordings(problem)
-        known = with_knowledge(self.fit(earlier).identification, problem.known)
+        known = problem.informed(self.fit(earlier).identification)
         unseen = residual(dataclasses.replace(fit, identification=known), late)
         return held_out_of(problem, fit, "held-out stretch", unseen, np.asarray(late.mask))
 

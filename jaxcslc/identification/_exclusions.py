@@ -43,6 +43,7 @@ class Request:
     systematic: bool = True
     possible: Choice = "auto"
     prior: Prior | None = None
+    file_prior: bool = True
     memory: float = 2.0
     horizon: bool = False
 
@@ -50,6 +51,12 @@ class Request:
     def longest(self) -> str:
         """The name of the longest training recording."""
         return max(self.training, key=lambda name: self.training[name].samples)
+
+    @property
+    def has_file_prior(self) -> bool:
+        """Whether inertial parameters of the robot's file are a prior."""
+        known = self.network.robot.links is not None
+        return self.file_prior and known and self.previous is None
 
     @property
     def load_kinds(self) -> str:

@@ -42,6 +42,7 @@ from ._problem import (
     basic_settings,
     prepare,
     select_settings,
+    with_file_prior,
     with_friction,
     without_lag,
 )
@@ -217,6 +218,7 @@ def identify(
     systematic: bool = True,
     possible: Choice = "auto",
     prior: Prior | None = None,
+    file_prior: bool = True,
     memory: float = 2.0,
     horizon: bool = False,
     progress: Progress = None,
@@ -271,6 +273,9 @@ def identify(
     - `prior`: what is known of coefficients and links: fixed, bounded, or a value with its error,
       by name. Knowledge of links makes the report use physically consistent parameters: no others
       can follow it.
+    - `file_prior`: whether the inertial parameters of the robot's file are a prior, as exact as
+      files usually are (`FilePrior`). They decide what the motion leaves open, and
+      `report.file_prior` says how much of each coefficient is the file's.
     - `memory`: to use [GB], about. Coefficients are fitted to all samples of one training
       recording, however long. Where its regressor does not fit, settings are selected and fits
       judged on a part of it (`report.judged_part` says which). Of several recordings that do not
@@ -321,6 +326,7 @@ def identify(
         systematic=systematic,
         possible=possible,
         prior=prior,
+        file_prior=file_prior,
         memory=memory,
         horizon=horizon,
     )
@@ -343,7 +349,7 @@ def _identified(
             problem = dataclasses.replace(problem, begun=begin(problem.settings))
         step("preparing patterns")
         _ = problem.patterns, problem.judged_patterns  # what is wrong with recordings is said now
-        judged = estimator.judged(with_friction(problem))
+        judged = estimator.judged(with_file_prior(with_friction(problem)))
         checked = data_check()
     return _report(judged, friction, checked)
 

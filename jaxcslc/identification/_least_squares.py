@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from ..bodies import JudgedPart, held_out_of_parts, judged_bodies, with_knowledge
 from ..friction import along_motion, checked_distance, linearised
@@ -62,11 +63,14 @@ class Regression(AbstractEstimator):
         several = fit.source if isinstance(fit.source, SeveralFit) else None
         if several is not None:
             problem = _less_offsets(problem, several)
-        identification = with_knowledge(fit.identification, problem.known)
+        identification = problem.informed(fit.identification)
         errors: Mapping[str, SystematicError] | None = None
         if request.systematic:
             problem.step("computing systematic errors")
-            errors = _systematic_errors(problem, identification, several)
+            share = (
+                None if problem.file is None else problem.file.prior.data_share(fit.identification)
+            )
+            errors = _systematic_errors(problem, identification, several, share)
         systematic = _combined(problem, several, errors)
         bodies, held_out, sentences = None, None, ()
         if previous is None:
@@ -77,6 +81,8 @@ class Regression(AbstractEstimator):
                 partial(_parts, problem, identification, several),
                 choice=request.possible,
                 prior=request.prior,
+                file=problem.file_prior,
+                base=with_knowledge(fit.identification, problem.known),
                 source="cross-validation" if several is None else "held-out recording",
                 systematic=systematic,
                 step=problem.step,
@@ -104,6 +110,7 @@ class Regression(AbstractEstimator):
             {
                 "possible": bodies,
                 "systematic": systematic,
+                "file_prior": None if problem.file is None else problem.file.weight,
                 "slopes": problem.slopes,
                 "several": several,
             },
@@ -144,13 +151,15 @@ def _parts(
     """Parts of the motion, and fits without each: recordings, or stretches of one."""
     network, patterns = problem.network, problem.judged_patterns
     if several is not None:
-        return tuple(
+        parts = [
             JudgedPart.of(network, values, several.without[name])
             for name, values in several.patterns.items()
-        )
-    whole, fold = JudgedPart.of(network, patterns, fit), fold_numbers(patterns.samples)
-    fits = problem.solver.fits_without_folds(network, patterns, fold, whole.columns)
-    return whole.stretches(tuple(fits))
+        ]
+    else:
+        whole, fold = JudgedPart.of(network, patterns, fit), fold_numbers(patterns.samples)
+        fits = problem.solver.fits_without_folds(network, patterns, fold, whole.columns)
+        parts = whole.stretches(tuple(fits))
+    return tuple(problem.informed_part(part) for part in parts)
 
 
 def _cross_validated(problem: Problem, fit: Fit, several: SeveralFit | None) -> HeldOut:
@@ -164,15 +173,24 @@ def _cross_validated(problem: Problem, fit: Fit, several: SeveralFit | None) -> 
 
 
 def _systematic_errors(
-    problem: Problem, identification: Identification, several: SeveralFit | None
+    problem: Problem,
+    identification: Identification,
+    several: SeveralFit | None,
+    share: Float[np.ndarray, "coefficients coefficients"] | None,
 ) -> Mapping[str, SystematicError]:
-    """The systematic errors of each recording's own fit."""
+    """The systematic errors of each recording's own fit.
+
+    - `share`: what coefficients change by with those of a fit without prior knowledge.
+    """
     (first, *_) = problem.recordings
     listed = problem.recordings if problem.part is None else {first: problem.part}
     fits = {first: identification} if several is None else several.alone
     return {
         name: SystematicProblem.of(problem.network, x.recording, x.settings, x.derivatives).error(
-            np.asarray(fits[name].k), np.asarray(fits[name].determined), problem.request.groups
+            np.asarray(fits[name].k),
+            np.asarray(fits[name].determined),
+            problem.request.groups,
+            share,
         )
         for name, x in listed.items()
     }
@@ -224,5 +242,5 @@ class SimulatedMotion(AbstractEstimator):
         )
 
     def judged(self, problem: Problem) -> Judged:
-        start = with_knowledge(Regression().fit(problem).identification, problem.known)
+        start = problem.informed(Regression().fit(problem).identification)
         return super().judged(dataclasses.replace(problem, start=start))

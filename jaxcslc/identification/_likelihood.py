@@ -17,7 +17,9 @@ from jaxtyping import Float
 
 from .._processes import can_fork, function_beside
 from ..bodies import (
+    ChosenPrior,
     JudgedPart,
+    Known,
     PossibleFit,
     Prior,
     fixed_bodies,
@@ -316,10 +318,15 @@ def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
         ours.network, unfitted.patterns, ours.presliding_distance, unfitted.contact
     )
     unseen = JudgedPart.of(along, unfitted.patterns, unfitted.likelihood.fit)
-    parts = unseen.stretches((unseen.fit,) * FOLDS)
+    known = _informed(problem, unfitted.likelihood.fit, ours.network)
+    parts = [
+        part._replace(base=_known(problem, unfitted.likelihood.fit, ours.network))
+        for part in unseen.stretches((known,) * FOLDS)
+    ]
     fit = likelihood.free
     if fit is None:
-        fit = _informed(request, likelihood.fit, ours.network)
+        fit = _informed(problem, likelihood.fit, ours.network)
+    file = _file_prior(problem, likelihood.fit)
     bodies, _, sentences = judged_bodies(
         ours.network,
         fit,
@@ -327,12 +334,14 @@ def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
         lambda: parts,
         choice=request.possible,
         prior=request.prior,
+        file=None if file is None else file.prior,
+        base=_known(problem, likelihood.fit, ours.network),
         source=_SOURCE,
         parameters=likelihood.bodies,
         step=problem.step,
     )
     problem.step("judging estimators")
-    predicted = _predicted(request, unfitted.likelihood.fit, ours.network, bodies)
+    predicted = _predicted(problem, unfitted.likelihood.fit, ours.network, bodies)
     error = _error(unfitted, _with_k(ours, predicted))
     relative = _relative(problem, unfitted, ours.network, predicted)
     better = always or relative.beyond_chance()
@@ -353,7 +362,8 @@ def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
         else held_out_of(problem, ours),
         {
             "possible": bodies,
-            "systematic": _systematic(likelihood.systematic, fit) if request.systematic else None,
+            "file_prior": None if file is None else file.weight,
+            "systematic": _systematic(problem, likelihood, fit),
             "slopes": _slopes(likelihood),
             "several": base.results["several"],
             "estimators": comparison,
@@ -409,13 +419,14 @@ def _regression(base: Judged, patterns: Patterns) -> Fit:
         _presliding_distance(base),
     )
     fit = problem.solver.fit(along_motion(network, patterns, presliding_distance), patterns)
-    fit = with_knowledge(fit, problem.known)
+    unaided = with_knowledge(fit, problem.known)
+    fit = problem.informed(fit)
     result = Fit(network, fit, presliding_distance)
     bodies: PossibleFit | None = base.results["possible"]
     if bodies is None or not bodies.used:
         return result
     weight = bodies.parameters.prior_weight
-    return _with_k(result, _possible(problem.request, network, fit, weight))
+    return _with_k(result, _possible(problem, network, unaided, weight))
 
 
 def _presliding_distance(base: Judged) -> Float[np.ndarray, " joints"]:
@@ -423,28 +434,57 @@ def _presliding_distance(base: Judged) -> Float[np.ndarray, " joints"]:
     return (base.yielding or base.fit).presliding_distance
 
 
-def _informed(request: Request, fit: Identification, network: CSLC) -> Identification:
+def _file_prior(problem: Problem, fit: Identification) -> ChosenPrior | None:
+    """The robot's file as it enters a fit of maximum likelihood."""
+    return None if problem.file is None else problem.file.of_fit(fit)
+
+
+def _informed(problem: Problem, fit: Identification, network: CSLC) -> Identification:
     """A fit of maximum likelihood with what is known, unless its search knew it."""
-    if request.prior is None or request.likelihood_options.prior is not None:
+    if problem.request.likelihood_options.prior is not None:
         return fit
-    return with_knowledge(fit, request.prior.coefficient_values(network))
+    return problem.informed(fit, _known_values(problem, network))
+
+
+def _known(problem: Problem, fit: Identification, network: CSLC) -> Identification:
+    """The same without the robot's file as prior."""
+    if problem.request.likelihood_options.prior is not None:
+        return fit
+    return with_knowledge(fit, _known_values(problem, network))
+
+
+def _known_values(problem: Problem, network: CSLC) -> Mapping[int, Known]:
+    prior = problem.request.prior
+    return {} if prior is None else prior.coefficient_values(network)
 
 
 def _predicted(
-    request: Request, fit: Identification, network: CSLC, bodies: PossibleFit | None
+    problem: Problem, fit: Identification, network: CSLC, bodies: PossibleFit | None
 ) -> np.ndarray:
     """The coefficients of maximum likelihood that unfitted motion is predicted by."""
-    fit = _informed(request, fit, network)
     if bodies is None or not bodies.used:
-        return np.asarray(fit.k)
-    return _possible(request, network, fit, bodies.parameters.prior_weight)
+        return np.asarray(_informed(problem, fit, network).k)
+    base = _known(problem, fit, network)
+    return _possible(problem, network, base, bodies.parameters.prior_weight)
 
 
-def _possible(request: Request, network: CSLC, fit: Identification, weight: float) -> np.ndarray:
-    """Coefficients of the bodies nearest to a fit, with the prior's weight of other bodies."""
-    robot = network.robot
-    knowledge = () if request.prior is None else request.prior.link_values(robot)
-    return possible_coefficients(network, fit, fixed_bodies(robot), knowledge, weight)
+def _possible(problem: Problem, network: CSLC, fit: Identification, weight: float) -> np.ndarray:
+    """Coefficients of the bodies nearest to a fit, with the prior's weight of other bodies.
+
+    - `fit`: without the robot's file as prior.
+    """
+    robot, prior = network.robot, problem.request.prior
+    knowledge = () if prior is None else prior.link_values(robot)
+    file = _file_prior(problem, fit)
+    return possible_coefficients(
+        network,
+        fit,
+        fixed_bodies(robot),
+        knowledge,
+        weight,
+        None if file is None else file.prior.bodies,
+        None if file is None else file.prior.confidence,
+    )
 
 
 def _with_k(fit: Fit, k: np.ndarray) -> Fit:
@@ -545,10 +585,16 @@ def _rms(error: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return np.sqrt(np.sum(np.where(mask, error, 0.0) ** 2, axis=0) / counts)
 
 
-def _systematic(error: SystematicError | None, fit: Identification) -> SystematicError | None:
-    """Systematic errors without those of coefficients that are fixed."""
-    if error is None:
+def _systematic(
+    problem: Problem, likelihood: LikelihoodFit, fit: Identification
+) -> SystematicError | None:
+    """Systematic errors without those of fixed coefficients, and of what the file decides."""
+    error = likelihood.systematic
+    if error is None or not problem.request.systematic:
         return None
+    file = _file_prior(problem, likelihood.fit)
+    part = np.ones(len(fit.names)) if file is None else 1.0 - file.weight.share
+    error = SystematicError({cause: part * shift for cause, shift in error.parts.items()})
     return error.without(np.flatnonzero(np.asarray(fit.standard_error) == 0.0).tolist())
 
 

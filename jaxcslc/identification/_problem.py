@@ -13,7 +13,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..bodies import Known
+from ..bodies import (
+    ChosenPrior,
+    FilePrior,
+    JudgedPart,
+    Known,
+    chosen_prior,
+    with_knowledge,
+)
 from ..friction import LoadFit, SlopeFit, fit_load, fit_slopes
 from ..least_squares import Identification, LeastSquares, Settings, static_friction_joints
 from ..network import CSLC
@@ -113,6 +120,7 @@ class Problem:
     - `section`: that part in words.
     - `selection`: how settings were chosen; None if they were given.
     - `slopes`, `load`: fits of static friction and of friction that follows the load.
+    - `file`: the robot's file as prior; None without inertia in it, or where it is not asked for.
     - `start`: coefficients that a search starts from.
     - `begun`: waits for fits that another process has begun with (`AbstractEstimator.beside`).
     - `warnings`: about recordings and settings; `notes`: what readers decided.
@@ -129,6 +137,7 @@ class Problem:
     selection: Selection | None = None
     slopes: SlopeFit | None = None
     load: LoadFit | None = None
+    file: ChosenPrior | None = None
     start: Identification | None = None
     begun: Callable[[], Any] | None = None
     warnings: tuple[str, ...] = ()
@@ -174,6 +183,31 @@ class Problem:
     def on_time(self) -> Mapping[str, Recording]:
         """Training recordings by name, torques without the lag that settings say."""
         return {name: without_lag(x.recording, self.lag) for name, x in self.recordings.items()}
+
+    def informed(
+        self, fit: Identification, known: Mapping[int, Known] | None = None
+    ) -> Identification:
+        """Return a fit with what is known beforehand, by the robot's file and by the request.
+
+        - `known`: coefficients that are known; those of `network` if None.
+        """
+        known = self.known if known is None else known
+        if self.file is None:
+            return with_knowledge(fit, known)
+        return with_knowledge(fit, known, self.file.of_fit(fit).prior.rows)
+
+    def informed_part(self, part: JudgedPart) -> JudgedPart:
+        """Return a part of the motion whose fit knows what is known beforehand."""
+        base = with_knowledge(part.fit, self.known)
+        if self.file is None:
+            return part._replace(fit=base)
+        fit = with_knowledge(part.fit, self.known, self.file.prior.rows)
+        return part._replace(fit=fit, base=base)
+
+    @property
+    def file_prior(self) -> FilePrior | None:
+        """The robot's file as prior; None without."""
+        return None if self.file is None else self.file.prior
 
     @property
     def lag(self) -> float:
@@ -303,6 +337,21 @@ def with_friction(problem: Problem) -> Problem:
     return dataclasses.replace(problem, network=network, slopes=slopes, load=load)
 
 
+def with_file_prior(problem: Problem) -> Problem:
+    """Make the robot's file a prior of all fits, if it has inertial parameters."""
+    request = problem.request
+    if not request.has_file_prior:
+        return problem
+    problem.step("weighing the robot's file")
+    patterns = problem.judged_patterns
+    fit = problem.solver.fit(problem.network, patterns, throw=False)
+    if not np.all(np.isfinite(np.asarray(fit.k))):
+        return problem
+    file = chosen_prior(problem.network, patterns, problem.solver, fit)
+    warnings = () if file is None else file.weight.warnings
+    return dataclasses.replace(problem, file=file, warnings=(*problem.warnings, *warnings))
+
+
 def select_settings(request: Request, step: Callable[[str], None]) -> ChosenSettings:
     """Select settings by cross-validation within the longest recording, some set in advance."""
     step("choosing settings")
@@ -338,6 +387,9 @@ def basic_settings(request: Request, chosen: ChosenSettings | None) -> Settings:
                 for value, joint in zip(usual, new, strict=True)
             )
             settings = settings.with_options(threshold_fraction=tuple(fractions))
+        if request.has_file_prior:
+            # Knowledge is weighed against the noise of each joint.
+            settings = settings.with_options(joint_weights="residual")
     assert settings is not None
     return settings.with_options(**request.options)
 

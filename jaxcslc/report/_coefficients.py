@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._text_table import text_table
+from ..bodies import DECIDED
 from ..derivation import Coefficient
 from ..least_squares import Identification
 from ..network import CSLC, AbstractLinearNetwork
@@ -206,6 +207,7 @@ VerdictKind = Literal[
     "well determined",
     "poorly determined",
     "systematic error",
+    "from the file",
     "indistinguishable from zero",
     "wrong sign",
     "not determined",
@@ -237,6 +239,7 @@ class Verdict:
           of the fit makes every value meaningless;
         - `"systematic error"`: the standard error is small enough, the systematic error is not:
           what is needed is another model or smoothing, not more data;
+        - `"from the file"`: the robot's file says more of the value than the data;
         - `"indistinguishable from zero"`: the interval, systematic error included, contains zero;
         - `"wrong sign"`: the coefficient is positive for every physically consistent robot and the
           whole interval is negative;
@@ -258,6 +261,7 @@ def verdicts(
     excitation: Excitation | None = None,
     *,
     systematic: SystematicError | None = None,
+    share: Float[np.ndarray, " coefficients"] | None = None,
     level: float = 0.95,
 ) -> tuple[Verdict, ...]:
     """Judges each coefficient of a fit by its standard and systematic errors.
@@ -269,6 +273,7 @@ def verdicts(
     - `excitation`: of the patterns that were fitted; reasons then name correlation with other
       coefficients where it makes one poorly determined.
     - `systematic`: of the fit, as `systematic_error` computes it; none if omitted.
+    - `share`: part of each coefficient that is the robot's file's (`FileWeight`); none if omitted.
     - `level`: of the intervals.
 
     **Returns** p verdicts, in the order of the coefficients.
@@ -314,7 +319,9 @@ def verdicts(
         if systematic is not None and (shift[i] > error or kind == "systematic error"):
             reason += f"; systematic error {compared_with_value(shift[i], value)}"
             reason += f", mostly from {systematic.main_cause(i)}"
-        if not determined[i]:
+        if share is not None and share[i] > DECIDED:
+            kind, reason = "from the file", f"{100 * share[i]:.0f} % is the file's; {reason}"
+        elif not determined[i]:
             kind, reason = "not determined", combinations[name]
         elif meaningless:
             kind, reason = "poorly determined", f"condition number {float(fit.condition):.2g}"
@@ -401,7 +408,11 @@ class CoefficientRow(dict[str, str | float | bool]):
 # What a line has room for: alone, and beside a value with its errors, interval and verdict.
 _LONGEST_EXPRESSION, _LONGEST_BESIDE_VALUE = 60, 30
 _GOOD = "well determined"
-_HEADERS = {"standard_error": "std error", "systematic_error": "systematic"}
+_HEADERS = {
+    "standard_error": "std error",
+    "systematic_error": "systematic",
+    "from_file": "from file",
+}
 
 
 def coefficient_rows(
@@ -413,6 +424,7 @@ def coefficient_rows(
     groups: Sequence[str] | None = None,
     excitation: Excitation | None = None,
     systematic: SystematicError | None = None,
+    share: Float[np.ndarray, " coefficients"] | None = None,
     level: float = 0.95,
 ) -> list[dict[str, str | float | bool]]:
     """Return one row per coefficient: name, group, unit, expression; with a fit, value and verdict.
@@ -428,6 +440,7 @@ def coefficient_rows(
     - `excitation`: adds `variance_inflation`, and reasons that name it; see
       `degree_of_excitation`.
     - `systematic`: adds `systematic_error`, and widens intervals; see `systematic_error`.
+    - `share`: adds `from_file`, the part of each coefficient that is the robot's file's.
     - `level`: of the intervals.
     - `groups`: only the coefficients of these groups, such as `["mass"]` for Fig. B.1-1; by
       default all.
@@ -453,7 +466,7 @@ def coefficient_rows(
     judged = (
         None
         if fit is None
-        else verdicts(network, fit, excitation, systematic=systematic, level=level)
+        else verdicts(network, fit, excitation, systematic=systematic, share=share, level=level)
     )
     interval = None if fit is None else uncertainty_interval(fit, systematic, level)
     # On the host once: JAX takes 50 µs for an entry, and compiles a program first.
@@ -478,6 +491,8 @@ def coefficient_rows(
                 row["systematic_error"] = float(shifts[i])
             row["relative_error"] = abs(error / value) if value else float("inf")
             row["low"], row["high"] = (float(end) for end in interval[i])
+            if share is not None:
+                row["from_file"] = round(float(share[i]), 3)
             if inflation is not None:
                 row["variance_inflation"] = float(inflation[i])
             row["verdict"], row["reason"] = judged[i].kind, judged[i].reason

@@ -169,8 +169,14 @@ class AbstractReport(abc.ABC, Generic[N]):
             self.fit,
             excitation=getattr(self, "excitation", None),
             systematic=getattr(self, "systematic", None),
+            share=self._file_share,
             level=level,
         )
+
+    @property
+    def _file_share(self) -> Float[np.ndarray, " coefficients"] | None:
+        weight = getattr(self, "file_prior", None)
+        return None if weight is None else weight.share
 
     def __getitem__(self, name: str) -> CoefficientRow:
         """Return a coefficient's row, with `value`, `error`, `interval`, `unit` and `verdict`.

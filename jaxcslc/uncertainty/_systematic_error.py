@@ -324,11 +324,14 @@ class SystematicProblem:
         k: Float[np.ndarray, " coefficients"],
         determined: Bool[np.ndarray, " coefficients"],
         groups: Sequence[str] | None = None,
+        follow: Float[np.ndarray, "coefficients coefficients"] | None = None,
     ) -> SystematicError:
         """The systematic errors of a fit.
 
         - `k`: its coefficients; `determined`: which of them are.
         - `groups`: as of `systematic_error`.
+        - `follow`: changes of the coefficients by those of a fit without prior knowledge; equal to
+          them if None.
         """
         network, patterns = self.network, self.patterns
         preparation, solver = self.settings.preparation, self.settings.solver
@@ -356,8 +359,9 @@ class SystematicProblem:
         parts: dict[str, np.ndarray] = {}
         for cause, shift in shifts.items():
             every = np.zeros(network.size)
-            every[list(free)] = np.abs(shift)
-            parts[cause] = np.where(determined, every, 0.0)
+            every[list(free)] = shift
+            every = every if follow is None else follow @ every
+            parts[cause] = np.where(determined, np.abs(every), 0.0)
         return SystematicError(MappingProxyType(parts))
 
     def _torque(self, k: Float[np.ndarray, " coefficients"]) -> Float[np.ndarray, "samples joints"]:

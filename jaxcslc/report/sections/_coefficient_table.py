@@ -42,6 +42,7 @@ _VERDICT_TONES: dict[str, Tone] = {
     "well determined": "good",
     "systematic error": "caution",
     "poorly determined": "caution",
+    "from the file": "plain",
     "indistinguishable from zero": "plain",
     "wrong sign": "bad",
     "not determined": "bad",

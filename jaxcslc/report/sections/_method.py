@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from jaxcslc._plain_data import plain, record_document
-from jaxcslc.bodies import Prior, prior_from
+from jaxcslc.bodies import FileWeight, Prior, prior_from
 from jaxcslc.least_squares import settings_document
 from jaxcslc.recordings import Patterns
 from jaxcslc.selection import Selection
 
 from .._page import AbstractBlock, Code, Column, Details, Paragraph, Section, Table
-from .._section import AbstractSection, AnyReport
+from .._section import AbstractSection, AnyReport, counted
 
 
 # States of the motion that are stored: enough to compare torques over it later.
@@ -230,6 +230,47 @@ class PriorSection(AbstractSection):
 
     def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         yield [f"prior knowledge: {self.result(self.name, report)}"]
+
+
+class FilePriorSection(AbstractSection):
+    """The robot's file as prior of its inertial parameters."""
+
+    name = "file_prior"
+    results = MappingProxyType({"file_prior": None})
+    entries = MappingProxyType({"file_prior": dict})
+    position = 22
+
+    @classmethod
+    def document_of(cls, result: FileWeight, report: AnyReport) -> Mapping[str, Any]:
+        return {"file_prior": result.document()}
+
+    def result(self, name: str, report: AnyReport) -> FileWeight:
+        data = self.data["file_prior"]
+        share = np.array(data["share"], float)
+        if share.shape != (len(report.names),):
+            raise ValueError(f"file_prior, share: expected {len(report.names)} numbers")
+        names = (tuple(map(str, data[key])) for key in ("contradicted", "guessed", "invented"))
+        scores = {float(width): float(score) for width, score in data["scores"].items()}
+        return FileWeight(share, data["widths"], scores, *names)
+
+    def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
+        yield [str(self.result(self.name, report))]
+
+    def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
+        weight = self.result(self.name, report)
+        widths = [100 * width for width in weight.widths.values()]
+        columns = [
+            (Column("link", numeric=False), list(weight.widths)),
+            (Column("assumed error of its mass [%]", digits=3), widths),
+        ]
+        yield Section(
+            "The robot's file as prior",
+            "The inertial parameters of the robot's file decide what the motion leaves open. Their"
+            " assumed error is 20 %, or what predicts motion best that is unlike the fitted one."
+            " It is larger for links that the data contradict or that share one inertia. The file"
+            f" decides {weight.decided} of {counted(len(weight.share), 'coefficient')}.",
+            [Table.from_columns(columns, "Assumed errors", "file-prior")],
+        )
 
 
 class RepeatSection(AbstractSection):

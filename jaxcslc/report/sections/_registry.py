@@ -12,6 +12,7 @@ from ._errors import (
 )
 from ._friction import FrictionSection, FrictionTrialSection, PreSlidingSection, SlopeSection
 from ._method import (
+    FilePriorSection,
     GroupsSection,
     ModelSection,
     MotionSection,
@@ -27,6 +28,7 @@ SECTIONS: tuple[type[AbstractSection], ...] = (
     SettingsSection,
     GroupsSection,
     PriorSection,
+    FilePriorSection,
     SeveralSection,
     CoefficientSection,
     SlopeSection,

@@ -1,0 +1,497 @@
+"""The robot's file as prior: its inertial parameters as a normal distribution of coefficients.
+
+A file knows masses to some 20 %, and centres and inertias in proportion. `FilePrior` states that
+in terms of coefficients, `chosen_prior` finds its width on motion unlike the motion that was
+fitted, and `with_knowledge` adds it to a fit.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..least_squares import (
+    FoldFit,
+    HostColumns,
+    Identification,
+    LeastSquares,
+    columns_of,
+    torque_by,
+)
+from ..manipulator import LinkParameters
+from ..network import CSLC
+from ..recordings import Patterns
+from ._body import ENTRIES, MASS, body_map, body_of_pseudo_inertia, pseudo_inertia
+from ._nearest_bodies import Confidence, balls, in_units_of, prior_of
+from ._physical_parameters import body_names
+from ._prior import KnownRows, information_rows, with_knowledge
+
+
+WIDTH = 0.2
+"""Standard deviation of a file's masses, as part of them.
+
+It was at or near the best held-out error on four real arms; see `docs/uncertainty.md`.
+"""
+
+DECIDED = 0.5
+"""Share from which on a coefficient is the file's more than the data's."""
+
+# Widths that are tried. No file is better than a tenth: arms are drawn without screws and cables.
+_WIDTHS = (0.1, WIDTH, 0.5, 1.0, 2.0, 5.0)
+# Another width than the usual one is taken if it lowers the mean logarithm of squared errors by
+# this, which is 5 % of the error.
+_GAIN = 0.1
+# A body may be spread by this part of the arm's reach further than the file says: centres of thin
+# links are not known better than those of others.
+_SPREAD = 0.1
+# Deviations of a motor inertia that the file has, as part of it; and of one that it lacks, in
+# moments of inertia of what the joint carries.
+_MOTOR, _NO_MOTOR = 1.0, 3.0
+# Of links whose inertia is obviously invented, such as one mass for all: wider by this factor.
+_INVENTED = 3.0
+# A link contradicts the data where they move it this many times further than its width explains.
+_FAR = 2.0
+_ROUNDS = 10
+# Links that data determine fewer combinations of contradict nothing.
+_FEWEST = 0.5
+# Links are no wider than this: it says nothing of them any more.
+_WIDEST = 30.0
+# Relative eigenvalues of the prior's covariance below this are rounding.
+_ROUNDING = 1e-12
+# Masses and moments that agree to this part are the same number.
+_DIGITS = 1e-6
+# A link this much lighter than the median of the others has no mass in the file.
+_MASSLESS = 1e-3
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FilePrior:
+    """Inertial parameters of a robot's file as a normal distribution of coefficients.
+
+    Changes of a link are those of its pseudo-inertia in units of itself, as distances between
+    bodies count them (Lee, Wensing and Park 2020): a change of 0.2 is one of the mass by 20 %,
+    and of centre and inertia in proportion. Friction is not known by files.
+
+    **Attributes**
+
+    - `mean`: (p,) coefficients that the file implies; 0 of friction.
+    - `links`: (n, p, 10) what ten independent changes of each link by the whole of it do.
+    - `bodies`: links of the file, guessed where it has none.
+    - `sizes`: (n, 10) bodies that changes of links are measured by.
+    - `motor_errors`: (n,) standard deviation of each motor inertia.
+    - `motors`: (p, n) what one standard deviation of each motor inertia does.
+    - `inertial`: (p,) true for coefficients that the file knows something of.
+    - `widths`: (n,) standard deviation of each link, as a part of it.
+    - `correlation`: times that errors of a fit exceed those of independent samples, as variances.
+    - `names`: of links; `guessed`, `invented`: links without inertia, and with invented inertia.
+
+    >>> import jaxcslc as jc
+    >>> from jaxcslc.bodies import FilePrior
+    >>> FilePrior.of(jc.derive(jc.examples.pendulum())) is None  # no masses in its description
+    True
+    """
+
+    mean: Float[np.ndarray, " coefficients"]
+    links: Float[np.ndarray, "links coefficients 10"]
+    bodies: tuple[LinkParameters, ...]
+    sizes: Float[np.ndarray, "links 10"]
+    motor_errors: Float[np.ndarray, " links"]
+    motors: Float[np.ndarray, "coefficients links"]
+    inertial: Bool[np.ndarray, " coefficients"]
+    widths: Float[np.ndarray, " links"]
+    names: tuple[str, ...]
+    guessed: tuple[str, ...] = ()
+    invented: tuple[str, ...] = ()
+    correlation: float = 1.0
+
+    @classmethod
+    def of(cls, network: CSLC) -> "FilePrior | None":
+        """Return the prior of the usual width; None if the robot's file has no inertia."""
+        robot = network.robot
+        if robot.links is None or any(inertia.has_known for inertia in robot.inertia):
+            return None
+        names = body_names(robot)
+        masses = np.array([float(link.mass) for link in robot.links])
+        if not np.any(masses > 0.0):
+            return None
+        usual = float(np.median(masses[masses > 0.0]))
+        massless = masses < _MASSLESS * usual
+        lenders = balls(robot, usual)
+        links = [
+            lender if missing else link
+            for link, lender, missing in zip(robot.links, lenders, massless, strict=True)
+        ]
+        prior = prior_of(robot, links, lenders, np.zeros((len(links), 10)))
+        spread = _SPREAD * sum(
+            abs(length.value or 0.0) for joint in robot.joints for _, _, length in joint.lengths
+        )
+        of_bodies, of_motors = body_map(network.algebra)
+        inertial, p = network.layout.inertial, network.size
+        changes = np.zeros((len(links), p, 10))
+        sizes = np.stack([_spread_out(body, spread) for body in prior.bodies])
+        for i, size in enumerate(sizes):
+            changes[i, inertial] = of_bodies[:, i] @ _changes(size)
+        mean, motors = np.zeros(p), np.zeros((p, len(links)))
+        mean[inertial] = np.einsum("ple,le->p", of_bodies, prior.bodies) + of_motors @ prior.motors
+        errors = _motor_errors(network, prior.bodies, prior.motors)
+        motors[inertial] = of_motors * errors
+        known = np.zeros(p, bool)
+        known[inertial] = True
+        invented = _invented(prior.bodies) & ~massless
+        widths = WIDTH * np.where(massless | invented, _INVENTED, 1.0)
+        return cls(
+            mean,
+            changes,
+            tuple(links),
+            sizes,
+            errors,
+            motors,
+            known,
+            widths,
+            names,
+            tuple(name for name, missing in zip(names, massless, strict=True) if missing),
+            tuple(name for name, some in zip(names, invented, strict=True) if some),
+        )
+
+    def scaled(self, factor: float) -> "FilePrior":
+        """Return the prior with all widths multiplied."""
+        return dataclasses.replace(self, widths=self.widths * factor)
+
+    def with_link_widths(self, widths: Mapping[str, float]) -> "FilePrior":
+        """Return the prior with the widths of `FileWeight`, by link."""
+        known = zip(self.names, self.widths.tolist(), strict=True)
+        return dataclasses.replace(
+            self, widths=np.array([widths.get(name, width) for name, width in known])
+        )
+
+    @property
+    def confidence(self) -> Confidence:
+        """Errors of the file's bodies, as the programme of nearest bodies has them."""
+        units = self.sizes * (self.widths / WIDTH)[:, None]
+        return Confidence(units, self.motor_errors, WIDTH, self.correlation)
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "coefficients coefficients"]:
+        """Covariance of the coefficients; 0 of those that the file does not know."""
+        roots = self.links * self.widths[:, None, None]
+        return np.einsum("lpc,lqc->pq", roots, roots) + self.motors @ self.motors.T
+
+    def of_size(self, size: int) -> "FilePrior":
+        """Return the prior of a network of `size` coefficients with the same inertial ones."""
+        p = min(size, len(self.mean))
+        mean, inertial = np.zeros(size), np.zeros(size, bool)
+        mean[:p], inertial[:p] = self.mean[:p], self.inertial[:p]
+        links = np.zeros((len(self.links), size, 10))
+        links[:, :p] = self.links[:, :p]
+        motors = np.zeros((size, len(self.links)))
+        motors[:p] = self.motors[:p]
+        return dataclasses.replace(self, mean=mean, links=links, motors=motors, inertial=inertial)
+
+    @cached_property
+    def rows(self) -> KnownRows:
+        """The prior as equations of coefficients, in units of their standard error."""
+        covariance = self.covariance
+        sizes = np.sqrt(np.diag(covariance))
+        some = np.flatnonzero(sizes > 0.0)
+        sizes = sizes[some]
+        values, vectors = np.linalg.eigh(covariance[np.ix_(some, some)] / np.outer(sizes, sizes))
+        kept = values > _ROUNDING * values[-1:]
+        matrix = np.zeros((int(np.sum(kept)), len(self.mean)))
+        matrix[:, some] = vectors[:, kept].T / np.sqrt(values[kept])[:, None] / sizes
+        return KnownRows(matrix, matrix @ self.mean, self.correlation)
+
+    def share(self, fit: Identification) -> Float[np.ndarray, " coefficients"]:
+        """Return how much of each coefficient is the file's, from 0 to 1.
+
+        It is what a coefficient follows a change of its value in the file by, where all others
+        stay: the diagonal of the resolution matrix (Backus and Gilbert 1968), and 0 of friction.
+
+        - `fit`: without the prior.
+        """
+        follow = np.eye(len(self.mean)) - self.data_share(fit)
+        return np.where(self.inertial, np.clip(np.diag(follow), 0.0, 1.0), 0.0)
+
+    def data_share(self, fit: Identification) -> Float[np.ndarray, "coefficients coefficients"]:
+        """Return what coefficients change by with those of a fit without the prior."""
+        precision = self.rows.matrix.T @ self.rows.matrix
+        return np.eye(len(self.mean)) - self._posterior(fit) @ precision
+
+    def _posterior(self, fit: Identification) -> Float[np.ndarray, "coefficients coefficients"]:
+        """Covariance of coefficients under the prior, errors of the fit as if independent."""
+        rows = self.rows
+        white = information_rows(fit, np.asarray(fit.k)) / np.sqrt(rows.correlation)
+        total = white.T @ white + rows.matrix.T @ rows.matrix
+        sizes = np.sqrt(np.diag(total))
+        sizes = np.where(sizes > 0.0, sizes, 1.0)
+        inverse = np.linalg.pinv(total / np.outer(sizes, sizes), hermitian=True)
+        return inverse / np.outer(sizes, sizes)
+
+    def deviations(self, fit: Identification) -> Float[np.ndarray, " links"]:
+        """Return how far data move each link, over what its width explains; 0 if they do not.
+
+        The root of the squared deviation over the number of combinations that data determine, as
+        widths are estimated from them (MacKay 1992).
+
+        - `fit`: without the prior.
+        """
+        precision = self.rows.matrix.T @ self.rows.matrix
+        change = np.asarray(with_knowledge(fit, {}, self.rows).k) - self.mean
+        posterior = self._posterior(fit)
+        result = np.zeros(len(self.widths))
+        for i, (link, width) in enumerate(zip(self.links, self.widths, strict=True)):
+            root = width * link
+            deviation = root.T @ precision @ change
+            known = root.T @ (precision - precision @ posterior @ precision) @ root
+            number = float(np.trace(known))
+            if number > _FEWEST:
+                result[i] = np.sqrt(float(deviation @ deviation) / number)
+        return result
+
+    def widened(self, fit: Identification) -> tuple["FilePrior", tuple[str, ...]]:
+        """Return the prior with links wider that data contradict, and the names of these.
+
+        - `fit`: without the prior.
+        """
+        prior = self
+        for _ in range(_ROUNDS):
+            far = prior.deviations(fit)
+            if not np.any(far > _FAR):
+                break
+            wider = np.where(far > _FAR, prior.widths * far, prior.widths)
+            prior = dataclasses.replace(prior, widths=np.minimum(wider, _WIDEST))
+            if np.all(prior.widths[far > _FAR] >= _WIDEST):
+                break
+        changed = prior.widths > self.widths
+        names = tuple(name for name, some in zip(self.names, changed, strict=True) if some)
+        return prior, names
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FileWeight:
+    """How much of a fit is the robot's file.
+
+    **Attributes**
+
+    - `share`: (p,) part of each coefficient that is the file's, from 0 to 1.
+    - `widths`: by link, standard deviation that its inertial parameters were given, as a part of
+      them.
+    - `scores`: by width, the mean logarithm of squared errors over residual variance, on motion
+      unlike the motion that was fitted; empty where the recording is too short to judge it.
+    - `contradicted`: links that the data move further than a file is usually wrong by.
+    - `guessed`: links without inertia in the file; `invented`: links whose inertia is that of
+      another link too.
+
+    >>> import numpy as np
+    >>> from jaxcslc.bodies import FileWeight
+    >>> print(FileWeight(np.array([0.1, 0.9]), {"arm": 0.2}, {}))
+    robot's file: prior of its inertial parameters, masses to 20 %; it decides 1 of 2 coefficients
+    """
+
+    share: Float[np.ndarray, " coefficients"]
+    widths: Mapping[str, float]
+    scores: Mapping[float, float]
+    contradicted: tuple[str, ...] = ()
+    guessed: tuple[str, ...] = ()
+    invented: tuple[str, ...] = ()
+
+    @property
+    def width(self) -> float:
+        """The width of links that nothing is said against."""
+        return min(self.widths.values())
+
+    @property
+    def decided(self) -> int:
+        """The number of coefficients that are the file's more than the data's."""
+        return int(np.sum(self.share > DECIDED))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences about links that the data contradict, or that the file lacks."""
+        texts: list[str] = []
+        for names, what in (
+            (
+                self.contradicted,
+                "the motion contradicts the masses, centres or inertias of the robot's file. They"
+                " are hardly used. Check the file, a tool or a payload that it lacks",
+            ),
+            (
+                self.guessed,
+                "the robot's file has no mass. A ball of the usual mass was assumed, at three times"
+                " the usual error",
+            ),
+        ):
+            if names:
+                texts.append(f"{', '.join(names)}: {what}")
+        return tuple(texts)
+
+    def document(self) -> dict[str, Any]:
+        """Return the entries of a report's file, as plain data."""
+        return {
+            "share": self.share,
+            "widths": dict(self.widths),
+            "scores": {f"{width:g}": score for width, score in self.scores.items()},
+            "contradicted": list(self.contradicted),
+            "guessed": list(self.guessed),
+            "invented": list(self.invented),
+        }
+
+    def __str__(self) -> str:
+        return (
+            f"robot's file: prior of its inertial parameters, masses to {100 * self.width:.3g} %;"
+            f" it decides {self.decided} of {len(self.share)} coefficients"
+        )
+
+
+class ChosenPrior(NamedTuple):
+    """The robot's file as prior of a fit, and how much of the fit it is."""
+
+    prior: FilePrior
+    weight: FileWeight
+
+    def of_fit(self, fit: Identification) -> "ChosenPrior":
+        """Return the prior of another fit without it, of the same robot.
+
+        The number of coefficients that are not inertial may differ.
+        """
+        prior = self.prior.of_size(len(fit.names))
+        prior = dataclasses.replace(prior, correlation=correlation_of(fit))
+        return ChosenPrior(prior, dataclasses.replace(self.weight, share=prior.share(fit)))
+
+
+def chosen_prior(
+    network: CSLC, patterns: Patterns, solver: LeastSquares, fit: Identification
+) -> ChosenPrior | None:
+    """Return the robot's file as prior of a fit, its width chosen; None if the file has none.
+
+    The width is judged on motion unlike the motion that is fitted: near the middle of positions
+    and far from it, slow and fast. What repeats a motion does not show what it leaves open.
+
+    - `patterns`: that the fit is of, or a part of them.
+    - `fit`: of `solver`, without the prior.
+    """
+    prior = FilePrior.of(network)
+    if prior is None:
+        return None
+    prior = dataclasses.replace(prior, correlation=correlation_of(fit))
+    columns = columns_of(network, patterns)
+    splits = list(_splits(network, patterns, solver, columns))
+    torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
+    variance = _mean_square(torque - torque_by(network.support, columns, np.asarray(fit.k)), mask)
+    scores: dict[float, float] = {}
+    if splits:
+        for width in _WIDTHS:
+            tried = prior.scaled(width / WIDTH)
+            errors = [
+                _mean_square(
+                    torque[rows]
+                    - torque_by(
+                        network.support,
+                        tuple(of_joint[:, rows] for of_joint in columns),
+                        with_knowledge(part, {}, tried.rows).k,
+                    ),
+                    mask[rows],
+                )
+                for rows, part in splits
+            ]
+            scores[width] = float(np.mean([np.log(_ratio(error, variance)) for error in errors]))
+        best = min(scores, key=lambda width: scores[width])
+        if scores[best] < scores[WIDTH] - _GAIN:
+            prior = prior.scaled(best / WIDTH)
+    prior, contradicted = prior.widened(fit)
+    widths = dict(zip(prior.names, prior.widths.tolist(), strict=True))
+    weight = FileWeight(
+        prior.share(fit), widths, scores, contradicted, prior.guessed, prior.invented
+    )
+    return ChosenPrior(prior, weight)
+
+
+def correlation_of(fit: Identification) -> float:
+    """Return how many times the variances of a fit exceed those of independent errors.
+
+    The median of the determined coefficients; at least 1.
+    """
+    known = np.asarray(fit.determined)
+    errors = np.diag(np.asarray(fit.covariance))[known]
+    independent = np.diag(np.asarray(fit.independent_covariance))[known]
+    some = independent > 0.0
+    return max(float(np.median(errors[some] / independent[some])), 1.0) if np.any(some) else 1.0
+
+
+def _splits(
+    network: CSLC, patterns: Patterns, solver: LeastSquares, columns: HostColumns
+) -> Iterator[tuple[Int[np.ndarray, " rows"], FoldFit]]:
+    """Rows that are judged, and the fit of all others; nothing that could not be fitted."""
+    q, qd = np.asarray(patterns.q), np.asarray(patterns.qd)
+    for value in (np.abs(q - np.median(q, axis=0)), np.abs(qd)):
+        greatest = np.max(value, axis=0)
+        distance = np.max(value / np.where(greatest > 0.0, greatest, 1.0), axis=1)
+        far = (distance > np.median(distance)).astype(int)
+        if len(np.unique(far)) < 2:
+            continue
+        near = solver.fits_without_folds(network, patterns, far, columns)[1]
+        if np.all(np.isfinite(near.k)) and np.all(np.isfinite(near.covariance)):
+            yield np.flatnonzero(far), near
+
+
+def _mean_square(
+    error: Float[np.ndarray, "rows joints"], mask: Bool[np.ndarray, "rows joints"]
+) -> Float[np.ndarray, " joints"]:
+    return np.sum(np.where(mask, error, 0.0) ** 2, axis=0) / np.maximum(np.sum(mask, axis=0), 1)
+
+
+def _ratio(
+    error: Float[np.ndarray, " joints"], variance: Float[np.ndarray, " joints"]
+) -> Float[np.ndarray, " some"]:
+    some = (error > 0.0) & (variance > 0.0)
+    return error[some] / variance[some] if np.any(some) else np.ones(1)
+
+
+def _spread_out(body: Float[np.ndarray, "10"], spread: float) -> Float[np.ndarray, "10"]:
+    """Return a body whose squared radii of gyration are larger by that of `spread` [m]."""
+    matrix = pseudo_inertia(body)
+    matrix[:3, :3] += body[MASS] * spread**2 * np.eye(3)
+    return body_of_pseudo_inertia(matrix)
+
+
+def _changes(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "10 10"]:
+    """Ten independent changes of a body by the whole of it, as columns."""
+    unit = in_units_of(body)
+    columns: list[np.ndarray] = []
+    for a in range(4):
+        for b in range(a + 1):
+            entries = np.zeros((4, 4))
+            entries[a, b] = entries[b, a] = 1.0 if a == b else np.sqrt(0.5)
+            columns.append(unit @ entries.reshape(ENTRIES))
+    return np.stack(columns, axis=1)
+
+
+def _motor_errors(
+    network: CSLC, bodies: Float[np.ndarray, "links 10"], motors: Float[np.ndarray, " links"]
+) -> Float[np.ndarray, " links"]:
+    """Standard deviations of motor inertias: of what the file has, or of what joints carry."""
+    parents = network.robot.parents
+    carried = np.max(bodies[:, :3], axis=1)
+    slides = np.array([kind == "P" for kind in network.robot.kinds])
+    carried = np.where(slides, bodies[:, MASS], carried)
+    for child in reversed(range(len(parents))):
+        if parents[child] >= 0:
+            carried[parents[child]] += carried[child]
+    return np.where(motors > 0.0, _MOTOR * motors, _NO_MOTOR * carried)
+
+
+def _invented(bodies: Float[np.ndarray, "links 10"]) -> Bool[np.ndarray, " links"]:
+    """Links whose mass, and inertia about the centre, another link has too, digit for digit."""
+    shapes = np.array([[body[MASS], *_central(body)] for body in bodies])
+    alike = np.all(np.abs(shapes[:, None] - shapes) <= _DIGITS * np.abs(shapes), axis=-1)
+    return np.sum(alike, axis=1) > 1
+
+
+def _central(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, " moments"]:
+    """Principal moments of the spread about the centre."""
+    matrix = pseudo_inertia(body)
+    return np.linalg.eigvalsh(
+        matrix[:3, :3] - np.outer(matrix[:3, 3], matrix[:3, 3]) / matrix[3, 3]
+    )
