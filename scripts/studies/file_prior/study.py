@@ -53,14 +53,6 @@ FILES = (
     "no tool",
     "far centre",
 )
-    "right",
-    "usual",
-    "half masses",
-    "double masses",
-    "absurd inertia",
-    "no tool",
-    "far centre",
-)
 """Files: right, wrong as files usually are, and wrong on purpose in five ways."""
 RATE = 200.0
 STEP = 2 * np.pi / 2**18  # of encoders [rad]
