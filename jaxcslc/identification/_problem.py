@@ -47,6 +47,10 @@ from ..uncertainty import FOLDS
 from ._exclusions import Request
 
 
+# With the robot's file as prior: directions that change the torque less than this part of the most
+# visible one are the file's. Their error by noise of a thousandth would be a hundred times a
+# coefficient, and their values would cost the others their digits.
+_RCOND = 1e-5
 # Samples that a stretch has at least, where settings are chosen.
 _FEWEST_OF_FOLD = 80
 # What a single recording that is fitted is called, and the one that judges.
@@ -389,7 +393,7 @@ def basic_settings(request: Request, chosen: ChosenSettings | None) -> Settings:
             settings = settings.with_options(threshold_fraction=tuple(fractions))
         if request.has_file_prior:
             # Knowledge is weighed against the noise of each joint.
-            settings = settings.with_options(joint_weights="residual")
+            settings = settings.with_options(joint_weights="residual", rcond=_RCOND)
     assert settings is not None
     return settings.with_options(**request.options)
 

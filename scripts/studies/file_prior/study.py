@@ -11,7 +11,7 @@ and how far the file moves them.
 import dataclasses
 import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
@@ -91,11 +91,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _study(rows: Rows, jobs: list[Any], missing: list[Any], options: Any) -> int:
     with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
-        results = pool.map(judged, *zip(*missing, strict=True)) if missing else ()
-        for job, row in zip(
-            missing, command.progress(results, total=len(missing), desc="fits"), strict=True
-        ):
-            rows.add(dict(zip(("arm", "motion", "file", "seed"), job, strict=True)) | row)
+        jobs_of = {pool.submit(judged, *job): job for job in missing}
+        for done in command.progress(as_completed(jobs_of), total=len(missing), desc="fits"):
+            names = zip(("arm", "motion", "file", "seed"), jobs_of[done], strict=True)
+            rows.add(dict(names) | done.result())
     text = "\n".join(_tables([rows[job] for job in jobs]))
     print(text)
     options.output.mkdir(parents=True, exist_ok=True)
@@ -146,7 +145,7 @@ def judged(arm: str, motion: str, file: str, seed: int) -> dict[str, Any]:
     free, informed = np.asarray(without.k)[inertial], np.asarray(with_file.k)[inertial]
     spread = np.asarray(without.fit.standard_error)[inertial]
     bodies = with_file.bodies
-    assert bodies is not None
+    assert bodies is not None, with_file.warnings
     return {
         "with": error(informed),
         "without": error(free),
