@@ -24,8 +24,8 @@ from ..least_squares import (
 from ..manipulator import LinkParameters
 from ..network import CSLC
 from ..recordings import Patterns
-from ._body import ENTRIES, MASS, body_map, body_of_pseudo_inertia, pseudo_inertia
-from ._nearest_bodies import Confidence, balls, in_units_of, prior_of
+from ._body import ENTRIES, MASS, bodies_of, body_map, body_of_pseudo_inertia, pseudo_inertia
+from ._nearest_bodies import Confidence, balls, ends_of, in_units_of, prior_of
 from ._physical_parameters import body_names
 from ._prior import KnownRows, information_rows, with_knowledge
 
@@ -52,6 +52,13 @@ _SPREAD = 0.1
 _MOTOR, _NO_MOTOR = 1.0, 3.0
 # Of links whose inertia is obviously invented, such as one mass for all: wider by this factor.
 _INVENTED = 3.0
+# Reported errors count what the file says at this many times its width: it may be wrong by a factor
+# of two, and the intervals are to hold then, too.
+_DOUBT = 3.0
+# A mass is contradicted where data that determine half of it or more move it by this factor.
+_OTHER_MASS, _HALF = 1.65, 0.5
+# Mass is spread no further from its centre than to the next joint and this part of the reach.
+_WIDEST_SPREAD = 0.3
 # A link contradicts the data where they move it this many times further than its width explains.
 _FAR = 2.0
 _ROUNDS = 10
@@ -86,7 +93,8 @@ class FilePrior:
     - `inertial`: (p,) true for coefficients that the file knows something of.
     - `widths`: (n,) standard deviation of each link, as a part of it.
     - `correlation`: times that errors of a fit exceed those of independent samples, as variances.
-    - `names`: of links; `guessed`, `invented`: links without inertia, and with invented inertia.
+    - `names`: of links; `guessed`, `invented`: links without inertia, and with the inertia of
+      another link; `implausible`: with mass further out than the link is long, which is cut off.
 
     >>> import jaxcslc as jc
     >>> from jaxcslc.bodies import FilePrior
@@ -105,6 +113,7 @@ class FilePrior:
     names: tuple[str, ...]
     guessed: tuple[str, ...] = ()
     invented: tuple[str, ...] = ()
+    implausible: tuple[str, ...] = ()
     correlation: float = 1.0
 
     @classmethod
@@ -119,15 +128,18 @@ class FilePrior:
             return None
         usual = float(np.median(masses[masses > 0.0]))
         massless = masses < _MASSLESS * usual
+        reach = sum(abs(x.value or 0.0) for joint in robot.joints for _, _, x in joint.lengths)
         lenders = balls(robot, usual)
         links = [
             lender if missing else link
             for link, lender, missing in zip(robot.links, lenders, massless, strict=True)
         ]
+        spread = _SPREAD * reach
+        limits = ends_of(robot) + _WIDEST_SPREAD * reach
+        compact = [_compact(link, limit) for link, limit in zip(links, limits, strict=True)]
+        implausible = np.array([new is not old for new, old in zip(compact, links, strict=True)])
+        links = compact
         prior = prior_of(robot, links, lenders, np.zeros((len(links), 10)))
-        spread = _SPREAD * sum(
-            abs(length.value or 0.0) for joint in robot.joints for _, _, length in joint.lengths
-        )
         of_bodies, of_motors = body_map(network.algebra)
         inertial, p = network.layout.inertial, network.size
         changes = np.zeros((len(links), p, 10))
@@ -141,7 +153,7 @@ class FilePrior:
         known = np.zeros(p, bool)
         known[inertial] = True
         invented = _invented(prior.bodies) & ~massless
-        widths = WIDTH * np.where(massless | invented, _INVENTED, 1.0)
+        widths = WIDTH * np.where(massless | invented | implausible, _INVENTED, 1.0)
         return cls(
             mean,
             changes,
@@ -154,6 +166,7 @@ class FilePrior:
             names,
             tuple(name for name, missing in zip(names, massless, strict=True) if missing),
             tuple(name for name, some in zip(names, invented, strict=True) if some),
+            tuple(name for name, some in zip(names, implausible, strict=True) if some),
         )
 
     def scaled(self, factor: float) -> "FilePrior":
@@ -201,7 +214,7 @@ class FilePrior:
         kept = values > _ROUNDING * values[-1:]
         matrix = np.zeros((int(np.sum(kept)), len(self.mean)))
         matrix[:, some] = vectors[:, kept].T / np.sqrt(values[kept])[:, None] / sizes
-        return KnownRows(matrix, matrix @ self.mean, self.correlation)
+        return KnownRows(matrix, matrix @ self.mean, self.correlation, _DOUBT)
 
     def share(self, fit: Identification) -> Float[np.ndarray, " coefficients"]:
         """Return how much of each coefficient is the file's, from 0 to 1.
@@ -250,22 +263,56 @@ class FilePrior:
                 result[i] = np.sqrt(float(deviation @ deviation) / number)
         return result
 
+    def mass_factors(self, fit: Identification) -> Float[np.ndarray, " links_and_all"]:
+        """Return factors of each link's mass, and of all, that the data ask for; 1 where they are
+        silent.
+
+        - `fit`: without the prior.
+        """
+        precision = self.rows.matrix.T @ self.rows.matrix
+        change = np.asarray(with_knowledge(fit, {}, self.rows).k) - self.mean
+        posterior = self._posterior(fit)
+        # What scaling a link does, in independent changes of its width.
+        wholes = np.stack(
+            [
+                np.linalg.lstsq(_changes(size), body)[0] / width
+                for size, body, width in zip(
+                    self.sizes, bodies_of(self.bodies), self.widths, strict=True
+                )
+            ]
+        )
+        single = np.eye(len(wholes))[:, :, None] * wholes
+        factors: list[float] = []
+        roots = self.links * self.widths[:, None, None]
+        for direction in (*single, wholes):
+            length = float(np.sum(direction**2))
+            along = np.einsum("lpc,lc->p", roots, direction) / np.sqrt(length)
+            told = precision - precision @ posterior @ precision
+            share = float(along @ told @ along)
+            moved = float(along @ precision @ change) / np.sqrt(length)
+            factors.append(1.0 + moved / share if share > _HALF else 1.0)
+        return np.array(factors)
+
     def widened(self, fit: Identification) -> tuple["FilePrior", tuple[str, ...]]:
         """Return the prior with links wider that data contradict, and the names of these.
 
         - `fit`: without the prior.
         """
-        prior = self
+        factors = self.mass_factors(fit)
+        other = (factors > _OTHER_MASS) | (factors < 1.0 / _OTHER_MASS)
+        named = other[:-1] | bool(other[-1])
+        wider = np.where(named, np.maximum(np.abs(factors[:-1] - 1.0), _INVENTED * WIDTH), 0.0)
+        prior = dataclasses.replace(self, widths=np.maximum(self.widths, wider))
         for _ in range(_ROUNDS):
             far = prior.deviations(fit)
             if not np.any(far > _FAR):
                 break
+            named |= far > _FAR
             wider = np.where(far > _FAR, prior.widths * far, prior.widths)
             prior = dataclasses.replace(prior, widths=np.minimum(wider, _WIDEST))
             if np.all(prior.widths[far > _FAR] >= _WIDEST):
                 break
-        changed = prior.widths > self.widths
-        names = tuple(name for name, some in zip(self.names, changed, strict=True) if some)
+        names = tuple(name for name, some in zip(self.names, named, strict=True) if some)
         return prior, names
 
 
@@ -282,7 +329,7 @@ class FileWeight:
       unlike the motion that was fitted; empty where the recording is too short to judge it.
     - `contradicted`: links that the data move further than a file is usually wrong by.
     - `guessed`: links without inertia in the file; `invented`: links whose inertia is that of
-      another link too.
+      another link too; `implausible`: links with mass further out than they are long.
 
     >>> import numpy as np
     >>> from jaxcslc.bodies import FileWeight
@@ -296,6 +343,7 @@ class FileWeight:
     contradicted: tuple[str, ...] = ()
     guessed: tuple[str, ...] = ()
     invented: tuple[str, ...] = ()
+    implausible: tuple[str, ...] = ()
 
     @property
     def width(self) -> float:
@@ -322,6 +370,11 @@ class FileWeight:
                 "the robot's file has no mass. A ball of the usual mass was assumed, at three times"
                 " the usual error",
             ),
+            (
+                self.implausible,
+                "the inertia of the robot's file has mass further out than the link is long. It was"
+                " reduced",
+            ),
         ):
             if names:
                 texts.append(f"{', '.join(names)}: {what}")
@@ -336,6 +389,7 @@ class FileWeight:
             "contradicted": list(self.contradicted),
             "guessed": list(self.guessed),
             "invented": list(self.invented),
+            "implausible": list(self.implausible),
         }
 
     def __str__(self) -> str:
@@ -403,7 +457,8 @@ def chosen_prior(
     prior, contradicted = prior.widened(fit)
     widths = dict(zip(prior.names, prior.widths.tolist(), strict=True))
     weight = FileWeight(
-        prior.share(fit), widths, scores, contradicted, prior.guessed, prior.invented
+        *(prior.share(fit), widths, scores, contradicted),
+        *(prior.guessed, prior.invented, prior.implausible),
     )
     return ChosenPrior(prior, weight)
 
@@ -447,6 +502,18 @@ def _ratio(
 ) -> Float[np.ndarray, " some"]:
     some = (error > 0.0) & (variance > 0.0)
     return error[some] / variance[some] if np.any(some) else np.ones(1)
+
+
+def _compact(link: LinkParameters, limit: float) -> LinkParameters:
+    """Return a link whose mass is spread no further than the limit [m]; itself if it is not."""
+    mass, tensor = float(link.mass), np.asarray(link.inertia, float)
+    values, vectors = np.linalg.eigh(np.trace(tensor) / 2 * np.eye(3) - tensor)
+    if mass <= 0.0 or values[-1] <= mass * limit**2:
+        return link
+    values = np.minimum(values, mass * limit**2)
+    spread = (vectors * values) @ vectors.T
+    smaller = np.trace(spread) * np.eye(3) - spread
+    return LinkParameters(mass, link.centre_of_gravity, smaller, link.motor_inertia)
 
 
 def _spread_out(body: Float[np.ndarray, "10"], spread: float) -> Float[np.ndarray, "10"]:

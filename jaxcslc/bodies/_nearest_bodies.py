@@ -354,22 +354,30 @@ def balls(robot: Manipulator, mass: float) -> tuple[LinkParameters, ...]:
 
     The assumption for a robot of which only the lengths are known.
     """
-    n = robot.joint_count
     reach = sum(
         abs(length.value or 0.0) for joint in robot.joints for _, _, length in joint.lengths
     )
-    ends = np.zeros((n, 3))
-    for child, parent in enumerate(robot.parents):
-        origin = _origin(robot.joints[child])
-        if parent >= 0 and np.linalg.norm(origin) > np.linalg.norm(ends[parent]):
-            ends[parent] = origin
     links: list[LinkParameters] = []
-    for inertia, end in zip(robot.inertia, ends, strict=True):
+    for inertia, end in zip(robot.inertia, _ends(robot), strict=True):
         radius = max(float(np.linalg.norm(end)) / 2, _SMALLEST_PART * reach, _SMALLEST_RADIUS)
         zero = np.array([f"r{axis}" in inertia.zero for axis in "xyz"])
         centre = np.where(zero, 0.0, end / 2)
         links.append(LinkParameters(mass, centre, 2.0 / _BALL * mass * radius**2 * np.eye(3)))
     return tuple(links)
+
+
+def ends_of(robot: Manipulator) -> Float[np.ndarray, " links"]:
+    """Distances from each joint to the farthest one that its link carries [m]."""
+    return np.linalg.norm(_ends(robot), axis=1)
+
+
+def _ends(robot: Manipulator) -> Float[np.ndarray, "links 3"]:
+    ends = np.zeros((robot.joint_count, 3))
+    for child, parent in enumerate(robot.parents):
+        origin = _origin(robot.joints[child])
+        if parent >= 0 and np.linalg.norm(origin) > np.linalg.norm(ends[parent]):
+            ends[parent] = origin
+    return ends
 
 
 def prior_of(

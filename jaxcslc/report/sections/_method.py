@@ -249,7 +249,10 @@ class FilePriorSection(AbstractSection):
         share = np.array(data["share"], float)
         if share.shape != (len(report.names),):
             raise ValueError(f"file_prior, share: expected {len(report.names)} numbers")
-        names = (tuple(map(str, data[key])) for key in ("contradicted", "guessed", "invented"))
+        names = (
+            tuple(map(str, data[key]))
+            for key in ("contradicted", "guessed", "invented", "implausible")
+        )
         scores = {float(width): float(score) for width, score in data["scores"].items()}
         return FileWeight(share, data["widths"], scores, *names)
 

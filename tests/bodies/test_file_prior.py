@@ -1,0 +1,153 @@
+"""The robot's file as prior: identities, MuJoCo's torques as oracle, wrong files, and limits."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import jaxcslc as jc
+from jaxcslc.bodies import FilePrior, bodies_of, body_map, with_knowledge
+from jaxcslc.manipulator import LinkParameters
+from scripts.studies.file_prior.study import (
+    NOISE,
+    ROBOTS,
+    model_of,
+    moved,
+    torque_of,
+    true_coefficients,
+    wrong,
+)
+
+
+WIDE = 1e4  # a prior of this width says nothing
+
+
+@pytest.fixture(scope="module")
+def robot() -> jc.Manipulator:
+    return jc.load_robot(ROBOTS / "ur5.urdf")
+
+
+@pytest.fixture(scope="module")
+def network(robot: jc.Manipulator) -> jc.CSLC:
+    return jc.derive(robot, lengths="numeric")
+
+
+def with_links(network: jc.CSLC, links: list[LinkParameters]) -> jc.CSLC:
+    return jc.derive(dataclasses.replace(network.robot, links=tuple(links)), lengths="numeric")
+
+
+def patterns_of(network: jc.CSLC, motion: str, seed: int = 0) -> jc.Patterns:
+    """Motion and torques of a frictionless UR5, by MuJoCo, with noise."""
+    rng, model = np.random.default_rng(seed), model_of("ur5", False)
+    q, qd, qdd = states = moved(rng, model, motion)
+    torque = torque_of(model, states)
+    torque += NOISE * np.std(torque, axis=0) * rng.standard_normal(torque.shape)
+    mask = np.ones(q.shape, bool)
+    return jc.Patterns(np.arange(len(q)) / 200.0, q, qd, qdd, torque, mask, mask)
+
+
+def prior_of(network: jc.CSLC) -> FilePrior:
+    prior = FilePrior.of(network)
+    assert prior is not None
+    return prior
+
+
+class TestIdentity:
+    def test_the_mean_is_what_mujoco_says_of_the_file(self, network: jc.CSLC) -> None:
+        expected = true_coefficients(network, model_of("ur5", False))
+        assert_allclose(prior_of(network).mean[network.layout.inertial], expected, atol=1e-9)
+
+    def test_the_covariance_is_that_of_drawn_bodies(self, network: jc.CSLC) -> None:
+        prior = dataclasses.replace(prior_of(network), motors=np.zeros((network.size, 6)))
+        draws = np.random.default_rng(0).normal(size=(20_000, 6, 10)) * prior.widths[:, None]
+        k = np.einsum("lpc,dlc->dp", prior.links, draws)
+        assert_allclose(np.std(k, axis=0), np.sqrt(np.diag(prior.covariance)), rtol=0.03)
+
+    def test_a_mass_of_a_body_moves_by_its_width(self, network: jc.CSLC) -> None:
+        """A change of a body is one of its mass by that part, whatever its frame."""
+        prior = prior_of(network)
+        of_bodies, _ = body_map(network.algebra)
+        for link, body in enumerate(bodies_of(prior.bodies)):
+            scaled = of_bodies[:, link] @ (0.2 * body)
+            span = prior.links[link][network.layout.inertial]
+            part = np.linalg.lstsq(span, scaled)[0]
+            assert_allclose(span @ part, scaled, atol=1e-12)
+
+    def test_a_wide_prior_changes_nothing(self, network: jc.CSLC) -> None:
+        fit = jc.LeastSquares().fit(network, patterns_of(network, "rich"))
+        prior = prior_of(network).scaled(WIDE)
+        prior = dataclasses.replace(prior, motors=WIDE * prior.motors)
+        informed = with_knowledge(fit, {}, prior.rows)
+        change = np.abs(np.asarray(informed.k) - np.asarray(fit.k))
+        assert np.max(change / np.asarray(fit.standard_error)) < 1e-3
+
+
+class TestDetermined:
+    def test_the_file_is_not_felt_where_the_motion_determines(self, network: jc.CSLC) -> None:
+        links = wrong(np.random.default_rng(1), "usual", list(network.robot.links or ()))
+        other = with_links(network, links)
+        patterns = patterns_of(network, "rich")
+        fit = jc.LeastSquares().fit(other, patterns)
+        prior = prior_of(other)
+        share = prior.share(fit)
+        informed = with_knowledge(fit, {}, prior.rows)
+        change = np.abs(np.asarray(informed.k) - np.asarray(fit.k))
+        told = share < 0.01
+        assert np.sum(told) > 10
+        assert np.max((change / np.asarray(fit.standard_error))[told]) < 0.1
+
+    def test_shares_are_those_of_finite_differences(self, network: jc.CSLC) -> None:
+        fit = jc.LeastSquares().fit(network, patterns_of(network, "slow"))
+        prior = prior_of(network)
+        share = prior.share(fit)
+        for index in (0, 5, 20):
+            mean = prior.mean.copy()
+            step = 1e-3 * (1.0 + abs(mean[index]))
+            mean[index] += step
+            moved_prior = dataclasses.replace(prior, mean=mean)
+            change = np.subtract(
+                *(with_knowledge(fit, {}, p.rows).k[index] for p in (moved_prior, prior))
+            )
+            assert change / step == pytest.approx(share[index], abs=1e-4)
+
+
+class TestWrongFiles:
+    @pytest.mark.parametrize("file", ["half masses", "double masses"])
+    def test_masses_that_the_data_contradict_are_named(self, network: jc.CSLC, file: str) -> None:
+        links = wrong(np.random.default_rng(1), file, list(network.robot.links or ()))
+        other = with_links(network, links)
+        fit = jc.LeastSquares().fit(other, patterns_of(network, "rich"))
+        widened, names = prior_of(other).widened(fit)
+        assert names
+        assert np.max(widened.widths) > 0.5
+
+    def test_a_right_file_is_not_contradicted(self, network: jc.CSLC) -> None:
+        fit = jc.LeastSquares().fit(network, patterns_of(network, "rich"))
+        assert prior_of(network).widened(fit)[1] == ()
+
+    def test_inertia_beyond_the_link_is_cut_off(self, network: jc.CSLC) -> None:
+        links = list(network.robot.links or ())
+        links[4] = dataclasses.replace(links[4], inertia=100.0 * np.asarray(links[4].inertia))
+        prior = prior_of(with_links(network, links))
+        assert prior.implausible == ("wrist_2_link",)
+        assert prior.widths[4] == pytest.approx(0.6)
+
+    def test_a_link_without_mass_is_guessed(self, network: jc.CSLC) -> None:
+        links = list(network.robot.links or ())
+        links[3] = LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))
+        prior = prior_of(with_links(network, links))
+        assert prior.guessed == ("wrist_1_link",)
+        assert float(prior.bodies[3].mass) > 0.1
+
+    def test_intervals_hold_where_the_file_is_wrong_by_a_factor_of_two(
+        self, network: jc.CSLC
+    ) -> None:
+        truth = true_coefficients(network, model_of("ur5", False))
+        links = wrong(np.random.default_rng(3), "double masses", list(network.robot.links or ()))
+        other = with_links(network, links)
+        fit = jc.LeastSquares().fit(other, patterns_of(network, "wrist"))
+        informed = with_knowledge(fit, {}, prior_of(other).rows)
+        low, high = informed.confidence_interval().T
+        inertial = network.layout.inertial
+        assert np.mean((low[inertial] <= truth) & (truth <= high[inertial])) > 0.9
