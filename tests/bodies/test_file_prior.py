@@ -106,9 +106,10 @@ class TestDetermined:
             step = 1e-3 * (1.0 + abs(mean[index]))
             mean[index] += step
             moved_prior = dataclasses.replace(prior, mean=mean)
-            change = np.subtract(
-                *(with_knowledge(fit, {}, p.rows).k[index] for p in (moved_prior, prior))
+            there, here = (
+                float(with_knowledge(fit, {}, each.rows).k[index]) for each in (moved_prior, prior)
             )
+            change = there - here
             assert change / step == pytest.approx(share[index], abs=1e-4)
 
 

@@ -13,6 +13,7 @@ from jaxcslc._plain_data import record_document
 from jaxcslc.bodies import Known, Prior
 from jaxcslc.friction import fit_pre_sliding
 from jaxcslc.instruments import prediction_error
+from jaxcslc.manipulator import LinkParameters
 from jaxcslc.report import SECTIONS, AbstractSection
 
 
@@ -111,12 +112,19 @@ def undetermined(arm: jc.Manipulator) -> jc.Report:
     return jc.identify(network, recording, settings=jc.Settings(), possible="never", checks=False)
 
 
+def of_file(arm: jc.Manipulator) -> jc.Report:
+    """A robot whose file has masses and inertias."""
+    rod = LinkParameters(1.0, np.array([0.25, 0.0, 0.0]), 0.02 * np.eye(3))
+    network = jc.derive(dataclasses.replace(arm, links=(rod, rod)), lengths="numeric")
+    return jc.identify(network, swing(network, 0), settings=jc.Settings(), possible="never")
+
+
 def shown(section: AbstractSection, report: jc.Report, charts: bool) -> str:
     """A section's parts of the page with everything in them; charts do not compare themselves."""
     return json.dumps([record_document(part) for part in section.blocks(report, charts)])
 
 
-CASES = (everything, coupled, several, refitted, static, yielding, undetermined)
+CASES = (everything, coupled, several, refitted, static, yielding, undetermined, of_file)
 
 
 @pytest.fixture(scope="module", params=CASES, ids=lambda case: case.__name__)
