@@ -294,7 +294,7 @@ class FilePrior:
         return np.array(factors)
 
     def widened(self, fit: Identification) -> tuple["FilePrior", tuple[str, ...]]:
-        """Return the prior with links wider that data contradict, and the names of these.
+        """Return the prior, wider for links that data contradict, and their names.
 
         - `fit`: without the prior.
         """
