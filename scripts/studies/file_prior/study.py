@@ -128,10 +128,10 @@ def judged(arm: str, motion: str, file: str, seed: int) -> dict[str, Any]:
     stated = np.einsum("ple,le->p", of_bodies, bodies_of(links))
     new = moved(np.random.default_rng(seed + 10_000), model, "rich")
     expected = torque_of(model, new)
-    fits = {
-        use: jc.identify(network, recording, checks=False, file_prior=use, progress=False)
-        for use in (True, False)
-    }
+    try:
+        fits = {use: _fit(network, recording, use) for use in (True, False)}
+    except RuntimeError as failure:
+        return {"failed": str(failure).split("\n")[0]}
 
     def error(values: Float[np.ndarray, " inertial"]) -> list[float]:
         k = np.zeros(network.size)
@@ -164,6 +164,10 @@ def judged(arm: str, motion: str, file: str, seed: int) -> dict[str, Any]:
         "file_body_error": _body_errors(links, truth),
         "verdicts": [str(row["verdict"]) for row in with_file.rows()][: len(true)],
     }
+
+
+def _fit(network: jc.CSLC, recording: jc.Recording, use: bool) -> jc.Report:
+    return jc.identify(network, recording, checks=False, file_prior=use, progress=False)
 
 
 def moved(rng: np.random.Generator, model: Any, motion: str) -> Motion:
@@ -300,6 +304,10 @@ def _rms(values: Float[np.ndarray, "samples joints"]) -> Float[np.ndarray, " joi
 
 
 def _tables(rows: list[dict[str, Any]]) -> Iterator[str]:
+    failed = [row for row in rows if "failed" in row]
+    rows = [row for row in rows if "failed" not in row]
+    if failed:
+        yield f"{len(failed)} recordings too short to be fitted"
     yield "torque of a rich motion, error over that of the file and of the fit without it"
     cells: list[list[str]] = []
     for motion in dict.fromkeys(row["motion"] for row in rows):
