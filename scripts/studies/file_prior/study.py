@@ -238,7 +238,9 @@ def model_of(arm: str, tool: bool) -> Any:
         body = spec.bodies[-1].add_body(name="tool", pos=[0.0, 0.0, 0.1])
         body.mass, body.inertia = TOOL * arm_mass, [0.01, 0.01, 0.005]
         body.ipos, body.explicitinertial = [0.0, 0.0, 0.0], True
-    return spec.compile()
+    model = spec.compile()
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT  # no torque of ends of travel
+    return model
 
 
 def torque_of(model: Any, states: Motion) -> Float[np.ndarray, "samples joints"]:
