@@ -44,6 +44,7 @@ from ._inputs import (
     recordings_of,
 )
 from ._options import UsageError, argument, option
+from ._servo import SERVO_OPTIONS, ServoOptions, identify_servos
 
 
 if TYPE_CHECKING:
@@ -229,19 +230,28 @@ _OF_CLUSTER = {
     "identify arm.urdf log.csv --validate other.csv -o results",
     "identify arm.urdf log.csv --quality best",
     "identify arm.urdf morning.csv noon.csv --columns columns.toml --fix gripper",
+    "identify arm.urdf log.csv --drive servo",
 )
 def identify_command(
     context: Context,
     robot: RobotOrSystemArgument,
     options: IdentifyOptions,
+    servo: ServoOptions,
     part: RobotPart,
     drives: Drives,
     recordings: RecordingOptions,
 ) -> Output:
     """Identify a robot's parameters from recordings of positions and torques.
 
-    Or those of another system, from a recording with a column for each of its variables.
+    Or those of another system, from a recording with a column for each of its variables. Or the
+    drives of an arm of position servos, from commands and positions (--drive servo).
     """
+    if servo.drive == "servo":
+        with context.progress("reading") as step:
+            files = options.train, options.validate, options.output
+            return identify_servos(context, robot, servo, *files, part, recordings, step)
+    if others := sorted(context.typed & SERVO_OPTIONS):
+        raise UsageError(f"--{others[0]}: only with --drive servo")
     if options.quality == "best" and options.previous is None and drives.friction is None:
         drives = dataclasses.replace(drives, friction="auto")
     known = _estimator(options) == "least-squares"  # the time that it takes

@@ -310,7 +310,7 @@ class RecordingOptions:
         """Return changes of a recording by the options that ask for them."""
         changes: dict[str, Callable[[Recording], Recording]] = {}
         if self.between is not None:
-            start, end = _two_numbers(self.between)
+            start, end = two_numbers(self.between)
             changes[f"--between {self.between}"] = lambda recording: recording.between(start, end)
         if self.drop_stale:
             changes["--drop-stale"] = without_stale_rows
@@ -321,7 +321,11 @@ class RecordingOptions:
         return changes
 
 
-def _two_numbers(text: str) -> tuple[float, float]:
+def two_numbers(text: str) -> tuple[float, float]:
+    """Parse START,END.
+
+    **Raises** `UsageError`.
+    """
     try:
         start, end = (float(part) for part in text.split(","))
     except ValueError:

@@ -19,6 +19,8 @@ from ._charts import (
     MatrixChart as MatrixChart,
     Panel as Panel,
     PanelChart as PanelChart,
+    envelope as envelope,
+    rounded as rounded,
 )
 from ._coefficients import (
     Verdict as Verdict,

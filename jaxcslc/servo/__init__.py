@@ -16,6 +16,7 @@ Modules, in reading order:
 - `_fit`: `identify_servo` and its result.
 - `_mjcf`: MuJoCo models of an arm of servos, and replay of commands in them.
 - `_feedforward`: commands for a wanted motion, in C.
+- `_results`: a report on it: text, JSON, a page, and files for simulators.
 """
 
 from ._drive import (
@@ -42,6 +43,11 @@ from ._readers import (
     load_servo_recordings as load_servo_recordings,
 )
 from ._recording import ServoRecording as ServoRecording
+from ._results import (
+    SERVO_FILES as SERVO_FILES,
+    ServoReport as ServoReport,
+    servo_report as servo_report,
+)
 from ._simulation import LONGEST_STEP as LONGEST_STEP, simulate as simulate
 
 
@@ -56,12 +62,14 @@ __all__ = [
     "ServoFit",
     "ServoParameter",
     "ServoRecording",
+    "ServoReport",
     "WrittenServoArm",
     "identify_servo",
     "load_servo_recording",
     "load_servo_recordings",
     "replay_in_mujoco",
     "servo_feedforward",
+    "servo_report",
     "simulate",
     "write_servo_mjcf",
 ]

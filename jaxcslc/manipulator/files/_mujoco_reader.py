@@ -145,6 +145,7 @@ def mujoco_spec(robot: Manipulator) -> Any:
             spec = _parsed(path, source.format == "urdf", ())
         except (ValueError, OSError) as error:
             raise RobotError(f"{path}: {' '.join(str(error).split())}") from None
+    _name(spec)
     _without_geometry(spec, source.format == "urdf")
     _delete([joint for joint in spec.joints if joint.name not in source.joints], spec)
     moving = {joint.name for joint in spec.joints}
@@ -157,8 +158,7 @@ def _read(path: Path, urdf: bool, edits: Sequence[Edit]) -> BodyTree:
         spec = _parsed(path, urdf, edits)
     except ValueError as error:
         raise _mujoco_error(path, error) from None
-    for i, element in enumerate([*spec.bodies, *spec.joints]):
-        element.name = element.name or f"unnamed {i}"
+    _name(spec)
     inertials = {body.name: _inertial(body) for body in spec.bodies if body.explicitinertial}
     faults = {name: _fault(*numbers) for name, numbers in inertials.items()}
     strongest = _actuator_torques(spec)
@@ -306,6 +306,12 @@ def _without_geometry(spec: Any, urdf: bool) -> set[str]:
     ):
         _delete(getattr(spec, kind, ()), spec)
     return unknown
+
+
+def _name(spec: Any) -> None:
+    """Name the bodies and joints that have no name."""
+    for i, element in enumerate([*spec.bodies, *spec.joints]):
+        element.name = element.name or f"unnamed {i}"
 
 
 def _delete(elements: Any, spec: Any) -> None:

@@ -339,7 +339,7 @@ def _line(draw: random.Random, templates: Path, folder: Path) -> Lines:
         *(name for name in NAMES if name[:1] not in ("/", ".", "~")),  # within the case's folder
         *("puma560", "panda", folder / "out", folder, "-", "--", "~", "/dev/null", "viscous,dry"),
         *("always", "never", "0.1", "fix", "couple", "auto", "maximum-likelihood"),
-        *("instrumental-variables", "bash", "ur5"),
+        *("instrumental-variables", "bash", "ur5", "servo", "degrees", "normalised"),
         *("splines", "moves", "error", "D", "likelihood", "regression", "kv1"),
         *("1,2", "1,2,-1", "inf,2", "1,1", "0,1", "0,9", "5,1", "numeric", "huber", "static"),
     )
@@ -388,7 +388,8 @@ OPTIONS = (
     *("--memory", "--possible", "--prior", "--no-motors", "--measured", "--no-check"),
     *("--mimic", "--estimator", "--fleet", "--horizon", "--systematic", "--limits"),
     *("--duration", "--rate", "--family", "--for", "--criterion", "--after", "--reach", "--seed"),
-    *("--torque-noise", "--encoder", "--task", "--start"),  # --starts would take as long as it says
+    *("--torque-noise", "--encoder", "--task", "--start", "--units", "--calibration", "--loaded"),
+    *("--centre",),  # --starts would take as long as it says
 )
 
 KINDS: dict[str, tuple[int, Callable[[random.Random, Path, Path], Lines]]] = {

@@ -1,0 +1,169 @@
+"""`jaxcslc identify --drive servo`: its options, recordings and report."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+
+from ..manipulator import LinkParameters, Manipulator, seen_from
+from ..servo import (
+    SERVO_FILES,
+    ServoRecording,
+    identify_servo,
+    load_servo_recordings,
+    servo_report,
+)
+from ._common import Context, Output
+from ._inputs import RecordingOptions, RobotPart, robot_notes, two_numbers
+from ._options import UsageError, option
+
+
+_GROUP = "servo"
+# Of so many recordings, without --validate, the last fifth is held out.
+_ENOUGH, _HELD_OUT = 5, 5
+_OPTIONS = {
+    *(field.name for field in dataclasses.fields(RobotPart)),
+    *("robot", "train", "validate", "output", "overwrite", "columns", "between", "json", "quiet"),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class ServoOptions:
+    """What the joints are driven by, and recordings of servos."""
+
+    drive: Annotated[
+        Literal["torque", "servo"],
+        option(
+            group=_GROUP,
+            help="torque: the recordings have torques. servo: they have commanded positions, of an"
+            " arm of position servos (docs/servo.md).",
+        ),
+    ] = "torque"
+    units: Annotated[
+        Literal["radians", "degrees", "normalised"] | None,
+        option(
+            group=_GROUP,
+            help="Units of a LeRobot data set; normalised: -100 to 100 of each joint's range. By"
+            " default radians or degrees, where the values show which.",
+        ),
+    ] = None
+    calibration: Annotated[
+        Path | None,
+        option(
+            group=_GROUP,
+            metavar="FILE",
+            help="LeRobot's calibration file of the arm, for normalised units and grippers.",
+        ),
+    ] = None
+    loaded: Annotated[
+        list[Path] | None,
+        option(
+            group=_GROUP,
+            metavar="RECORDING",
+            help="Recording of the arm with a payload of known mass, which fixes the unit of"
+            " torque. May be repeated.",
+        ),
+    ] = None
+    mass: Annotated[
+        float | None, option(group=_GROUP, metavar="KG", help="Mass of that payload.")
+    ] = None
+    centre: Annotated[
+        str,
+        option(
+            group=_GROUP,
+            metavar="X,Y,Z",
+            help="Its centre of mass, in the last body's frame of the robot file [m].",
+        ),
+    ] = "0,0,0"
+
+    def __post_init__(self) -> None:
+        if (self.loaded is None) != (self.mass is None):
+            raise UsageError("--loaded and --mass: got one of them; expected both or neither")
+        if self.mass is not None and not self.mass > 0.0:
+            raise UsageError(f"--mass: expected more than 0 kg, got {self.mass:g}")
+        self._centre()
+
+    def _centre(self) -> list[float]:
+        try:
+            x, y, z = (float(part) for part in self.centre.split(","))
+        except ValueError:
+            raise UsageError(
+                f"--centre: expected X,Y,Z in m, as in 0,0,0.05, got {self.centre!r}"
+            ) from None
+        return [x, y, z]
+
+    def payload(self, robot: Manipulator) -> LinkParameters:
+        """Return the payload in the frame of the last link."""
+        assert self.mass is not None
+        body = LinkParameters(self.mass, np.array(self._centre()), np.zeros((3, 3)))
+        source = robot.source
+        if source is None or source.format == "toml":
+            return body
+        return seen_from(body, source.placements[-1])
+
+
+SERVO_OPTIONS = {field.name for field in dataclasses.fields(ServoOptions)} - {"drive"}
+"""Options that are of servos alone."""
+
+
+def identify_servos(
+    context: Context,
+    name: str,
+    options: ServoOptions,
+    train: Sequence[Path],
+    validate: Path | None,
+    output: Path,
+    part: RobotPart,
+    recordings: RecordingOptions,
+    step: Callable[[str], None],
+) -> Output:
+    """Identify the drives of an arm of position servos, and write a report.
+
+    **Raises** `ValueError`: options that are of torques, and as `identify_servo`.
+    """
+    if others := sorted(context.typed - _OPTIONS - SERVO_OPTIONS - {"drive"}):
+        raise ValueError(f"--{others[0].replace('_', '-')}: not with --drive servo")
+    context.check_output([output / file for file in SERVO_FILES], folder=output)
+    robot = part.read(name)
+
+    def read(paths: Sequence[Path]) -> dict[str, ServoRecording]:
+        found: dict[str, ServoRecording] = {}
+        for path in paths:
+            of_file = load_servo_recordings(
+                path,
+                [robot.joint_names[joint] for joint in robot.independent_joints],
+                recordings.columns,
+                units=options.units,
+                calibration=options.calibration,
+            )
+            found |= {
+                key if key == path.name else f"{path.name}: {key}": value
+                for key, value in of_file.items()
+            }
+        if recordings.between is not None:
+            start, end = two_numbers(recordings.between)
+            found = {key: value.between(start, end) for key, value in found.items()}
+        return found
+
+    training = read(train)
+    held_out: Mapping[str, ServoRecording] = {} if validate is None else read([validate])
+    if validate is None and len(training) >= _ENOUGH:
+        names = list(training)
+        kept = len(names) - max(1, len(names) // _HELD_OUT)
+        held_out = {key: training.pop(key) for key in names[kept:]}
+    loaded = read(options.loaded or ())
+    body = options.payload(robot) if loaded else None
+    step("identifying servos")
+    fit = identify_servo(
+        robot,
+        [*training.values(), *loaded.values()],
+        payloads=[*[None] * len(training), *[body] * len(loaded)],
+        progress=step,
+    )
+    report = servo_report(fit, training, held_out, progress=step)
+    step("writing")
+    files = report.save(output, command=context.text())
+    text = "\n".join([str(report), *robot_notes(robot)])
+    return Output(text, report.document, files)
