@@ -141,6 +141,13 @@ ALONE: dict[str, tuple[str, str]] = {
 """The same of parameters that the recordings do not determine."""
 
 
+COMPLIANCE = (
+    "a compliant gear shows alike, and the model has none",
+    "push the joint by hand both ways while its servo holds: play needs no force",
+)
+"""Reason and remedy for play, wherever it is estimated."""
+
+
 def confounded(
     joint: int, problem: JointProblem, x: Float[np.ndarray, " unknowns"], masses: float
 ) -> list[ConfoundedParameters]:
@@ -158,6 +165,8 @@ def confounded(
     sizes = np.array([UNKNOWNS[x].size(value) for x, value in zip(names, z, strict=True)])
     A = whole.information(z, masses)
     found: list[ConfoundedParameters] = []
+    if "play" in problem.names:
+        found.append(ConfoundedParameters(joint, ("play",), *COMPLIANCE))
     for pair, (reason, remedy) in PAIRS.items():
         if not set(pair) & set(problem.names):
             continue

@@ -23,6 +23,8 @@ MOVING = 0.02
 _DELAYS = np.arange(0.0, 0.121, 0.01)  # s, tried by the regression
 _DAMPINGS = 10.0 ** np.arange(-2.0, 4.0)  # of Levenberg and Marquardt, tried side by side
 _LARGEST = 1.0  # change of an unknown in an iteration, in prior deviations
+# Where 0 is no value: a motor without inertia has no motion within the play of its gear [s²].
+_LEAST = {"armature": 1e-6}
 # The search ends after so many iterations that lower the cost by less than this part, each of
 # which halves the steps of the derivatives: friction makes the cost rough.
 _LITTLE, _STALLED = 1e-3, 2
@@ -35,7 +37,7 @@ class Unknown:
     **Attributes**
 
     - `form`: `"log"`: the parameter's logarithm; `"ratio"`: the parameter over the gain;
-      `"plain"`: the parameter.
+      `"plain"`: the parameter; `"signed"`: likewise, of either sign.
     - `start`: where nothing better is known.
     - `step`: of central differences.
     - `centre`, `deviation`: of the prior, which is weak: what drives of any size may have.
@@ -61,7 +63,7 @@ UNKNOWNS = {
     "dead_zone": Unknown("plain", 0.002, 0.0005, 0.0, 0.01),
     "torque_limit": Unknown("ratio", 0.2, 0.01, 0.2, 0.2),
     "offset": Unknown("signed", 0.0, 0.005, 0.0, 0.15),
-    "armature": Unknown("ratio", 0.002, 0.0002, 0.0, 0.02),
+    "armature": Unknown("ratio", 0.002, 0.0002, 0.0, 0.005),
     "coulomb": Unknown("ratio", 0.01, 0.0005, 0.0, 0.1),
     "viscous": Unknown("ratio", 0.02, 0.002, 0.0, 0.3),
     "static": Unknown("ratio", 0.005, 0.0005, 0.0, 0.02),
@@ -123,7 +125,13 @@ class JointProblem:
 
     @property
     def low(self) -> Float[np.ndarray, " unknowns"]:
-        return np.array([-np.inf if x.form in ("log", "signed") else 0.0 for x in self.unknowns])
+        """Lower bounds."""
+        return np.array(
+            [
+                -np.inf if x.form in ("log", "signed") else _LEAST.get(name, 0.0)
+                for name, x in zip(self.names, self.unknowns, strict=True)
+            ]
+        )
 
     def rows(self, x: Float[np.ndarray, "sets unknowns"]) -> Float[np.ndarray, "sets parameters"]:
         """Return the drives' parameters for values of the unknowns."""
