@@ -163,6 +163,18 @@ class ServoReport:
         return [f"{self.joint_names[j]}: {', '.join(names)}" for j, names in by_joint.items()]
 
     @property
+    def confounded(self) -> list[str]:
+        """Parameters that recordings cannot tell apart, with reason and remedy, a sentence each."""
+        joints: dict[tuple[Any, ...], list[str]] = {}
+        for pair in self.fit.confounded:
+            key = pair.parameters, pair.reason, pair.remedy
+            joints.setdefault(key, []).append(self.joint_names[pair.joint])
+        return [
+            f"{', '.join(names)}: {' and '.join(parameters)} ({reason}); {remedy}"
+            for (parameters, reason, remedy), names in joints.items()
+        ]
+
+    @property
     def headline(self) -> str:
         """The result in a sentence."""
         total = self.error_rows()[-1]
@@ -177,7 +189,7 @@ class ServoReport:
         return {
             "robot": self.fit.robot.name,
             "units": self.fit.units,
-            "drives": {
+            "drives_for_simulation": {
                 name: asdict(drive)
                 for name, drive in zip(self.joint_names, self.fit.drives, strict=True)
             },
@@ -212,7 +224,7 @@ class ServoReport:
         tip = ", ".join(f"{k} {1e3 * self.tip_error(v):.1f}" for k, v in self.compared().items())
         judged = f"{len(self.judged)} recording{'' if len(self.judged) == 1 else 's'}"
         lines = [
-            f"{self.fit.robot}",
+            f"{self.fit.robot.name}: {len(self.joint_names)} servos",
             self.headline,
             "",
             f"position error [mrad RMS], open loop over {judged}"
@@ -228,11 +240,7 @@ class ServoReport:
                 "only ratios to the gain are determined: torques are those of the file's masses"
             )
         lines += [f"not determined: {sentence}" for sentence in self.undetermined]
-        lines += [
-            f"confounded, {self.joint_names[pair.joint]}: {' and '.join(pair.parameters)}"
-            f" ({pair.reason}); {pair.remedy}"
-            for pair in self.fit.confounded
-        ]
+        lines += [f"confounded, {sentence}" for sentence in self.confounded]
         lines += [f"MuJoCo: {sentence}" for sentence in self.approximations]
         lines += [f"note: {note}" for note in (*self.fit.notes, *self.notes)]
         return "\n".join(lines)
@@ -288,13 +296,7 @@ class ServoReport:
             name="parameters",
         )
         messages = [Message(f"Not determined: {s}.") for s in self.undetermined]
-        messages += [
-            Message(
-                f"{self.joint_names[pair.joint]}: {' and '.join(pair.parameters)} have the same"
-                f" effect: {pair.reason}. {pair.remedy}"
-            )
-            for pair in self.fit.confounded
-        ]
+        messages += [Message(f"Confounded, {sentence}.") for sentence in self.confounded]
         messages += [Message(note, "plain") for note in (*self.fit.notes, *self.notes)]
         sections = [
             Section(
@@ -441,9 +443,14 @@ def servo_report(
                 for name, recording in judged.items()
             }
             approximations = written.approximations
-    notes = dict.fromkeys(
-        f"{name}: {note}" for name, recording in everything.items() for note in recording.notes
-    )
+    named: dict[str, list[str]] = {}
+    for name, recording in everything.items():
+        for note in recording.notes:
+            named.setdefault(note, []).append(name)
+    notes = [
+        note if len(names) == len(everything) else f"{', '.join(names)}: {note}"
+        for note, names in named.items()
+    ]
     return ServoReport(
         fit,
         dict(training),

@@ -67,7 +67,10 @@ def test_a_data_set_of_twenty_episodes(results: Path) -> None:
     assert everything["simulation"] < 1e3 * STEP
     assert everything["MuJoCo"] < 2e3 * STEP
     assert everything["command"] > 20.0
-    ratios = [d["gain"] / t.gain for d, t in zip(document["drives"].values(), DRIVES, strict=True)]
+    ratios = [
+        d["gain"] / t.gain
+        for d, t in zip(document["drives_for_simulation"].values(), DRIVES, strict=True)
+    ]
     np.testing.assert_allclose(ratios, 1.0, atol=0.1)
 
 
