@@ -17,10 +17,10 @@ import hashlib
 import json
 import os
 import shutil
+import signal
 import sys
 import tempfile
-from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Collection, Generator, Iterable, Mapping, Sequence
 from pathlib import Path
 from threading import current_thread, main_thread
 from typing import Any
@@ -119,7 +119,8 @@ def all_or_nothing(folder: Path, *, earlier: Iterable[str] = ()) -> Generator[Pa
         kept = {name: listed[name] for name in listed if name not in gone}
         if kept or digests:
             _write_marker(whole, kept | digests)
-        _uninterrupted(_publish, whole, folder, gone)
+        with _uninterrupted():
+            _publish(whole, folder, gone)
 
 
 @contextlib.contextmanager
@@ -139,7 +140,8 @@ def all_together(paths: Sequence[Path]) -> Generator[list[Path]]:
         yield [scratch / name for name in names]
         digests = _digests(scratch)
         _write_marker(scratch, _listed(folder) | digests)
-        _uninterrupted(_replace, scratch, folder, digests, ())
+        with _uninterrupted():
+            _replace(scratch, folder, digests, ())
 
 
 @contextlib.contextmanager
@@ -181,20 +183,24 @@ def hidden_beside(path: Path) -> Generator[Path]:
 def scratch_folder(parent: Path, name: str) -> Generator[Path]:
     """Make a hidden folder in `parent` for what is to become `name`; removed at the end."""
     while True:
-        try:
-            scratch = Path(tempfile.mkdtemp(prefix=f".{name}-", suffix=_SUFFIX, dir=parent))
-        except OSError as error:  # of a name that nobody knows
-            error.filename = str(parent / name)
-            raise
-        with _held(scratch, wait=True):
+        with contextlib.ExitStack() as stack:
+            with _uninterrupted():
+                try:
+                    scratch = Path(tempfile.mkdtemp(_SUFFIX, f".{name}-", parent))
+                except OSError as error:  # of a name that nobody knows
+                    error.filename = str(parent / name)
+                    raise
+                stack.callback(_remove, scratch)
+            stack.enter_context(_held(scratch, wait=True))
             # Before it was locked, another process could take it for left behind.
-            if not scratch.exists():
-                continue
-            try:
+            if scratch.exists():
                 yield scratch
-            finally:
-                _uninterrupted(shutil.rmtree, scratch, True)
-            return
+                return
+
+
+def _remove(scratch: Path) -> None:
+    with _uninterrupted():
+        shutil.rmtree(scratch, ignore_errors=True)
 
 
 def remove_left_behind(parent: Path, name: str | None = None, suffix: str = "") -> None:
@@ -346,13 +352,23 @@ def _replace(whole: Path, folder: Path, names: Iterable[str], gone: Iterable[str
     os.replace(whole / MARKER, folder / MARKER)
 
 
-def _uninterrupted(function: Callable[..., None], *arguments: Any) -> None:
-    """Call a function that Ctrl-C does not interrupt: it reaches the main thread afterwards."""
-    if current_thread() is not main_thread():
-        function(*arguments)
-        return
-    with ThreadPoolExecutor(1) as pool:
-        pool.submit(function, *arguments).result()
+@contextlib.contextmanager
+def _uninterrupted() -> Generator[None]:
+    """Hold back Ctrl-C, and SIGTERM where it has a handler, until the end of the `with`."""
+    held: list[tuple[int, Any]] = []
+    before: dict[int, Any] = {}
+    if current_thread() is main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            if callable(handler := signal.getsignal(number)):
+                before[number] = handler
+                signal.signal(number, lambda *arguments: held.append(arguments))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number, frame in held:
+            before[number](number, frame)
 
 
 @contextlib.contextmanager

@@ -9,9 +9,12 @@
 """
 
 import sys
+from threading import Event
 
 
-_INTERRUPTED = 130  # 128 and the number of SIGINT, as shells have it
+INTERRUPTED = Event()
+"""Whether Ctrl-C was pressed: extensions that are being initialised make another error of it."""
+_STATUS = 130  # 128 and the number of SIGINT, as shells have it
 
 
 def main() -> None:
@@ -25,10 +28,10 @@ def main() -> None:
 
         end_process(run())
     except (KeyboardInterrupt, ImportError) as error:
-        if not _is_interruption(error):
+        if not (_is_interruption(error) or INTERRUPTED.is_set()):
             raise
         print("jaxcslc: interrupted", file=sys.stderr)
-        raise SystemExit(_INTERRUPTED) from None
+        raise SystemExit(_STATUS) from None
 
 
 def _is_interruption(error: BaseException | None) -> bool:

@@ -12,6 +12,8 @@ import signal
 import sys
 from typing import NoReturn
 
+from . import INTERRUPTED
+
 
 # The status of a process that ends by `end_process`.
 _STATUS: list[int] = []
@@ -35,7 +37,13 @@ def prepare_process() -> None:
     os.environ.pop("JAX_TRANSFER_GUARD", None)
     atexit.register(_end)  # the first to be registered is the last to be called
     gc.disable()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
+
+
+def _interrupt(*_: object) -> NoReturn:
+    INTERRUPTED.set()
+    raise KeyboardInterrupt
 
 
 def collect_garbage() -> None:

@@ -99,6 +99,9 @@ class Effort:
     seed: int = 0
 
 
+_MOST_SAMPLES = 1e6  # half an hour at 500 Hz; of some kB each while a motion is judged
+
+
 def design_motion(
     network: CSLC,
     limits: Limits,
@@ -149,6 +152,11 @@ def design_motion(
     (True, True)
     """
     family = family_named(family, duration) if isinstance(family, str) else family
+    if not family.duration * noise.rate <= _MOST_SAMPLES:
+        raise ValueError(
+            f"duration: expected at most {_MOST_SAMPLES / noise.rate:.3g} s at {noise.rate:g} Hz,"
+            f" got {family.duration:g} s"
+        )
     planner = Planner.of(
         network,
         limits,

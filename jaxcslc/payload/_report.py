@@ -140,7 +140,7 @@ def _determination_lines(fit: PayloadFit) -> list[str]:
         for name, unit, value, (low, high), known in zip(
             PAYLOAD, _UNITS, fit.parameters.tolist(), intervals, fit.determined, strict=True
         )
-        if known
+        if known and low <= high  # neither is a number of a covariance that is none
     ]
     return [
         *lines,

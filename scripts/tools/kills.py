@@ -1,14 +1,20 @@
-"""Kills programs at random moments: earlier output must stay whole, and the next run must go on.
+"""Ends and disturbs programs that write: earlier output stays whole, the next run goes on.
 
-A program (`identify`, `record` or `study`) runs once to the end. Then it is started again and again
-in a copy of that state, and killed by SIGKILL or interrupted by SIGINT: half of the times at any
-moment of its run, and half of the times when it has just begun to write. After each, the files of
-before are compared, and what is left behind is counted; then it runs to the end, which must give
-the same results, and leave nothing behind.
+Each case is a program, a copy of a folder in which it has run before, and a fault:
 
-    python -m scripts.tools.kills identify record study --trials 100 --workers 2
+- `SIGKILL`, `SIGINT`, `SIGTERM`: half of the times at any moment of its run, and half of the times
+  when it has just begun to write.
+- `full disk`: no file may grow beyond a random size.
+- `read-only`: the folder of its output cannot be written.
+- `other disk`: its output is a link to a folder on another file system, in memory.
+- `two at once`: another process does the same.
 
-Rows go to `build/kills/rows.jsonl`; the next run goes on from there.
+Earlier files must be as they were, or the new ones; nothing is left behind, unless by SIGKILL. Then
+the program runs to its end, which must give the same results and leave nothing:
+
+    python -m scripts.tools.kills --cases 1000 --jobs 16
+
+It prints a table of faults. Rows go to `build/kills/rows.jsonl`; the next run goes on from there.
 """
 
 import argparse
@@ -28,13 +34,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxcslc._scratch import MARKER
+from jaxcslc._text_table import text_table
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 
 
 ROOT = Path(__file__).parents[2]
-_OFF = 120.0  # seconds after which a run counts as hanging
-_CODE_AFTER_SIGINT = (130, -signal.SIGINT)
+_OFF = 300.0  # seconds after which a run counts as hanging
+_CODES_AFTER = {"SIGINT": (130, -signal.SIGINT), "SIGTERM": (130, -signal.SIGTERM)}
+_FAULTS = ("SIGKILL", "SIGINT", "SIGTERM", "full disk", "read-only", "other disk", "two at once")
+_MEMORY = Path("/dev/shm")  # another file system, where there is one
 
 ROBOT = "gravity = [0, -9.81, 0]\n[[joint]]\n[[joint]]\na = 0.3\n"
 SETTINGS = '{"smoothing": {"method": "butterworth", "cutoff": 12.0}}'
@@ -55,7 +64,7 @@ try:
 
     machine, trajectory = sim.puma560(), sim.training(samples=600)
     jobs = [sim.Job(machine, trajectory, seed) for seed in range(6)]
-    for i, result in sim.record_each(jobs, store="store", side_by_side=1):
+    for i, result in sim.record_each(jobs, store="out", side_by_side=1):
         print(i, float(result.truth.position.sum()).hex())
 except (KeyboardInterrupt, ImportError):  # an extension that is being initialised
     sys.exit(130)
@@ -67,7 +76,7 @@ from scripts.studies import command
 from scripts.studies.rows import Rows
 
 parser = command.new_parser("", "study")
-rows = Rows(Path("rows.jsonl"), ("number",), "kills")
+rows = Rows(Path("out/rows.jsonl"), ("number",), "kills")
 
 def study():
     for number in range(300):
@@ -81,137 +90,240 @@ sys.exit(command.run(parser, study, rows.path))
 
 
 class Program(NamedTuple):
-    """A program that is killed.
+    """A program that is disturbed.
 
     **Attributes**
 
     - `line`: of the command.
-    - `output`: files and folders that it writes, in its folder.
+    - `output`: files and folders that it writes, in its folder; it may go into a folder `out`.
     - `starts`: whether its earlier output is there when it starts; else only its input is.
     - `contents`: what is compared of a file of its output.
+    - `is_command`: whether it is one of `jaxcslc`, which ends in one line.
     """
 
     line: list[str]
     output: tuple[str, ...]
     starts: bool
     contents: Callable[[Path], Any]
+    is_command: bool = True
 
 
-def _numbers_of(path: Path) -> Any:
-    """What of a result is the same in every run."""
-    if path.name != "identification.json":
-        return path.stat().st_size > 0
-    return json.loads(path.read_text("utf-8"))["k"]
+def _content_of(path: Path) -> Any:
+    """What of a result is the same in every run; False of a file that is not whole."""
+    text = path.read_bytes()
+    if path.suffix == ".json":
+        return json.loads(text).get("k", True)
+    return text.endswith((b"\n", b"</html>"))
 
 
-_COMMAND = "from jaxcslc.cli import main; main()"
-_IDENTIFY = ("identify", "arm.toml", "log.csv", "--settings", "settings.json", "-o", "results")
+def _bytes_of(path: Path) -> Any:
+    return path.read_bytes()
+
+
+def _rows_of(path: Path) -> Any:
+    """Rows of a study, which two at once may both have written."""
+    rows = map(json.loads, path.read_text("utf-8").splitlines())
+    return {row["number"]: row for row in rows}
+
+
+def _command(*words: str, output: str = "out") -> Program:
+    line = ["-c", "from jaxcslc.cli import main; main()", *words]
+    return Program(line, (output,), True, _content_of)
+
+
+_ARM = ("arm.toml", "results")
+_LIMITED = ("--limits", "limits.toml", "--duration", "1", "--rate", "50", "--starts", "1")
+_IDENTIFY = ("identify", "arm.toml", "log.csv", "--settings", "settings.json", "-o", "out/results")
 PROGRAMS = {
-    "identify": Program(["-c", _COMMAND, *_IDENTIFY], ("results",), True, _numbers_of),
-    "record": Program(["-c", RECORD], ("store",), False, lambda path: path.read_bytes()),
-    "study": Program(["-c", STUDY], ("rows.jsonl",), False, lambda path: path.read_bytes()),
+    "compare": _command("compare", "results", "results", "-o", "out/page.html"),
+    "derive": _command("derive", "arm.toml", "-o", "out/tables"),
+    "example": _command("example", "ur5", "-o", "out/ur5"),
+    "excite": _command("excite", "arm.toml", *_LIMITED, "-o", "out/motion.csv"),
+    "export": _command("export", *_ARM, "-o", "out/arm.toml", "--force"),
+    "export-c": _command("export", *_ARM, "--c", "-o", "out/arm.c", "--force"),
+    "identify": _command(*_IDENTIFY),
+    "init": _command("init", "arm.toml", "log.csv", "--overwrite", output="jaxcslc.toml"),
+    "payload": _command(
+        "payload", "arm.toml", "log.csv", "--previous", "results", "-o", "out/payload"
+    ),
+    "record": Program(["-c", RECORD], ("out",), False, _bytes_of, is_command=False),
+    "study": Program(["-c", STUDY], ("out",), False, _rows_of, is_command=False),
 }
 
 
+class _Prepared(NamedTuple):
+    """A folder in which all is ready for a program, its output after a run, and the run's time."""
+
+    folder: Path
+    whole: dict[str, Any]
+    seconds: float
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Kills the programs. **Returns** 1 if a trial is wrong."""
+    """Disturbs the programs. **Returns** 1 if a case is wrong."""
     parser = command.new_parser(__doc__, "kills")
-    parser.add_argument("programs", nargs="+", choices=sorted(PROGRAMS), metavar="PROGRAM")
-    parser.add_argument("--trials", type=int, default=100, help="of each program")
-    parser.add_argument("--workers", type=int, default=2, help="programs at a time")
-    options = command.parse(parser, arguments, trials=4)
-    command.require_least(parser, options, trials=1, workers=1)
-    rows = Rows(options.output / "rows.jsonl", ("program", "trial"), made_of({}, [Path(__file__)]))
+    parser.add_argument("programs", nargs="*", metavar="PROGRAM", help="by default all")
+    parser.add_argument("--cases", type=int, default=1000, help="of all programs together")
+    parser.add_argument("--jobs", type=int, default=2, help="programs at a time")
+    parser.add_argument("--seed", type=int, default=0, help="of the cases")
+    options = command.parse(parser, arguments, cases=22)
+    command.require_least(parser, options, cases=1, jobs=1)
+    command.require_some_of(parser, "program", options.programs, tuple(PROGRAMS))
+    keys = ("seed", "program", "case")
+    rows = Rows(options.output / "rows.jsonl", keys, made_of({}, [Path(__file__)]))
+    names = options.programs or list(PROGRAMS)
+    cases = [(names[number % len(names)], number) for number in range(options.cases)]
 
     def study() -> int:
-        for name in options.programs:
-            _kill(name, rows, options)
-        return _report(rows, options.programs)
+        _run([case for case in cases if (options.seed, *case) not in rows], rows, options)
+        return _report([row for row in rows.all() if row["seed"] == options.seed])
 
-    return command.run(parser, study, rows.path, seconds=8.0 * options.trials)
-
-
-def _kill(name: str, rows: Rows, options: argparse.Namespace) -> None:
-    """All trials of one program that have no row yet."""
-    trials = [trial for trial in range(options.trials) if (name, trial) not in rows]
-    if not trials:
-        return
-    program = PROGRAMS[name]
-    with tempfile.TemporaryDirectory() as folder:
-        prepared = Path(folder) / "prepared"
-        prepared.mkdir()
-        _prepare(prepared)
-        before = _files(prepared)
-        start = time.monotonic()
-        _finish(program, prepared)
-        seconds = time.monotonic() - start
-        whole = _whole(program, prepared)
-        if not program.starts:
-            _remove_new(prepared, before)
-        with (
-            ThreadPoolExecutor(options.workers) as pool,
-            command.progress(desc=name, total=len(trials), unit="trial") as bar,
-        ):
-            waiting = [
-                pool.submit(_trial, name, trial, prepared, whole, seconds, Path(folder))
-                for trial in trials
-            ]
-            try:
-                for done in as_completed(waiting):
-                    rows.add(done.result())
-                    bar.update()
-            finally:
-                pool.shutdown(cancel_futures=True)
+    return command.run(parser, study, rows.path, seconds=10.0 * options.cases / options.jobs)
 
 
-def _trial(
-    name: str, trial: int, prepared: Path, whole: dict[str, Any], seconds: float, folder: Path
-) -> dict[str, Any]:
-    """Starts a program in a copy of `prepared`, ends it, and lets it run again."""
-    program, draw = PROGRAMS[name], random.Random(f"{name} {trial}")
-    here = folder / f"{name} {trial}"
-    shutil.copytree(prepared, here)
+def _run(cases: Sequence[tuple[str, int]], rows: Rows, options: argparse.Namespace) -> None:
+    """All cases that have no row yet, in folders that are prepared once for each program."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        ThreadPoolExecutor(options.jobs) as pool,
+        command.progress(desc="cases", total=len(cases), unit="case") as bar,
+    ):
+        made = Path(folder) / "made"
+        made.mkdir()
+        _make_input(made)
+        names = sorted({name for name, _ in cases})
+        ready = dict(zip(names, pool.map(lambda name: _prepare(name, made), names), strict=True))
+        waiting = [
+            pool.submit(_case, name, number, options.seed, ready[name], Path(folder))
+            for name, number in cases
+        ]
+        try:
+            for done in as_completed(waiting):
+                rows.add(done.result())
+                bar.update()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _make_input(folder: Path) -> None:
+    """Robot, log, settings, limits, an identification."""
+    (folder / "arm.toml").write_text(ROBOT, encoding="utf-8")
+    (folder / "settings.json").write_text(SETTINGS, encoding="utf-8")
+    limits = "[joints]\nvelocity = 2.0\ntorque = 20.0\nposition = [[-1, 1], [-1, 1]]\n"
+    (folder / "limits.toml").write_text(limits, encoding="utf-8")
+    (folder / "out").mkdir()
+    _finish(Program(["-c", MAKE], (), True, _bytes_of), folder)
+    _finish(_command(*_IDENTIFY[:-1], "results"), folder)
+
+
+def _prepare(name: str, made: Path) -> _Prepared:
+    """A program's folder, with the output of a run if it starts with some."""
+    program, folder = PROGRAMS[name], made.parent / f"prepared {name}"
+    shutil.copytree(made, folder)
+    start = time.monotonic()
+    _finish(program, folder)
+    seconds = time.monotonic() - start
+    whole = _whole(program, folder)
+    if not program.starts:
+        shutil.rmtree(folder)
+        shutil.copytree(made, folder)
+    return _Prepared(folder, whole, seconds)
+
+
+def _case(name: str, number: int, seed: int, prepared: _Prepared, folder: Path) -> dict[str, Any]:
+    """Disturbs a program in a copy of its folder, and lets it run again."""
+    draw = random.Random(f"{seed} {name} {number}")
+    here = folder / f"{name} {number}"
+    shutil.copytree(prepared.folder, here)
+    fault = draw.choices(_FAULTS, (3, 3, 3, 3, 1, 1, 1))[0]
+    with contextlib.ExitStack() as undone:
+        faults, left = _disturb(PROGRAMS[name], here, fault, draw, prepared, undone)
+        try:
+            _finish(PROGRAMS[name], here)
+        except RuntimeError as error:
+            faults.append(f"the next run fails: {error}")
+        if _whole(PROGRAMS[name], here) != prepared.whole:
+            faults.append("the next run has another result")
+        if still := _hidden(here):
+            faults.append(f"the next run left {', '.join(still)}")
+    shutil.rmtree(here)
+    row: dict[str, Any] = {"seed": seed, "program": name, "case": number, "fault": fault}
+    return {**row, "left": left, "faults": faults}
+
+
+def _disturb(
+    program: Program,
+    here: Path,
+    fault: str,
+    draw: random.Random,
+    prepared: _Prepared,
+    undone: contextlib.ExitStack,
+) -> tuple[list[str], int]:
+    """Runs a program with a fault.
+
+    - `undone`: what the next run is without.
+
+    **Returns** what is wrong, and how much is left behind.
+    """
+    if fault == "other disk" and _MEMORY.is_dir():
+        other = Path(undone.enter_context(tempfile.TemporaryDirectory(dir=_MEMORY))) / "out"
+        shutil.copytree(here / "out", other)
+        shutil.rmtree(here / "out")
+        (here / "out").symlink_to(other)
     before = {path: path.read_bytes() for path in _files(here)}
-    how = draw.choice((signal.SIGKILL, signal.SIGINT))
-    moment = "writing" if trial % 2 else "any"
-    process = _start(program, here)
-    after = _wait(process, here, before, draw, seconds, moment)
-    process.send_signal(how)
+    limit = int(10 ** draw.uniform(1.0, 6.0)) if fault == "full disk" else None
+    if fault == "read-only":
+        for path in (here, here / "out"):
+            path.chmod(0o555)
+    running = [_start(program, here, limit, obeys=fault == "read-only")]
+    if fault == "two at once":
+        time.sleep(draw.uniform(0.0, 0.2))
+        running.append(_start(program, here))
+    if fault.startswith("SIG"):
+        _wait(running[0], here, before, draw, prepared.seconds)
+        running[0].send_signal(getattr(signal, fault))
+    faults: list[str] = []
+    for process in running:
+        errors = _errors_of(process)
+        if wrong := _wrong_end(program, process.returncode, errors, fault):
+            faults.append(wrong)
+    if fault == "read-only":
+        for path in (here, here / "out"):
+            path.chmod(0o755)
+    faults += _damage(program, here, before, prepared.whole)
+    left = _hidden(here)
+    if left and fault != "SIGKILL":
+        faults.append(f"{fault} left {', '.join(left)}")
+    return faults, len(left)
+
+
+def _errors_of(process: "subprocess.Popen[str]") -> str:
     try:
-        _, errors = process.communicate(timeout=_OFF)
+        return process.communicate(timeout=_OFF)[1]
     except subprocess.TimeoutExpired:
         process.kill()
-        _, errors = process.communicate()
-    faults: list[str] = []
-    ended = process.returncode == 0
+        return f"{process.communicate()[1]}\nhangs"
+
+
+def _wrong_end(program: Program, code: int, errors: str, fault: str) -> str | None:
+    """What is wrong with how a process ended; None if nothing is."""
+    last = (errors.strip().splitlines() or [""])[-1][:200]
     # Python's own start, before the first line of a program, has a traceback of its own.
     starting = "Traceback" in errors and 'File "<string>"' not in errors
-    if how == signal.SIGINT and not ended and not starting:
-        if process.returncode not in _CODE_AFTER_SIGINT:
-            faults.append(f"exit code {process.returncode} after SIGINT")
-        if "Traceback" in errors:
-            faults.append(f"traceback after SIGINT: {errors.strip().splitlines()[-1][:200]}")
-    faults += _damage(program, here, before, whole)
-    left = _hidden(here)
-    if left and how == signal.SIGINT:
-        faults.append(f"SIGINT left {', '.join(left)}")
-    _finish(program, here)
-    now = _whole(program, here)
-    if now != whole:
-        faults.append("the next run has another result")
-    if still := _hidden(here):
-        faults.append(f"the next run left {', '.join(still)}")
-    shutil.rmtree(here)
-    return {
-        "program": name,
-        "trial": trial,
-        "signal": how.name,
-        "moment": moment,
-        "seconds": round(after, 3),
-        "ended": ended,
-        "left": len(left),
-        "faults": faults,
-    }
+    if errors.endswith("hangs"):
+        return f"hangs after {fault}"
+    if code == 0 or fault == "SIGKILL" or starting:
+        return None
+    if fault in _CODES_AFTER:
+        expected = _CODES_AFTER[fault] if program.is_command else (*_CODES_AFTER[fault], -15)
+        if code not in expected:
+            return f"exit code {code} after {fault}: {last}"
+        return f"traceback after {fault}: {last}" if "Traceback" in errors else None
+    if fault in ("full disk", "read-only"):
+        if program.is_command and (code != 2 or len(errors.strip().splitlines()) != 1):
+            return f"exit code {code} of {fault}: {last}"
+        return None
+    return f"exit code {code} of {fault}: {last}"
 
 
 def _wait(
@@ -220,16 +332,15 @@ def _wait(
     before: dict[Path, bytes],
     draw: random.Random,
     seconds: float,
-    moment: str,
-) -> float:
+) -> None:
     """Waits for a random moment, or until a program writes and a moment longer."""
     start, end = time.monotonic(), draw.uniform(0.0, seconds)
-    while process.poll() is None and time.monotonic() - start < (end if moment == "any" else _OFF):
-        if moment == "writing" and any(path not in before for path in _files(here)):
+    writing = draw.random() < 0.5
+    while process.poll() is None and time.monotonic() - start < (_OFF if writing else end):
+        if writing and any(path not in before for path in _files(here)):
             time.sleep(draw.choice((0.0, 0.001, 0.01, 0.1, 0.3)) * draw.random())
             break
         time.sleep(0.001)
-    return time.monotonic() - start
 
 
 def _damage(
@@ -240,7 +351,9 @@ def _damage(
     for path, data in before.items():
         if not path.is_file():
             faults.append(f"{path.name} is gone")
-        elif path.read_bytes() != data and not _is_whole(program, here, path, whole):
+        elif path.name == MARKER or path.read_bytes() == data:
+            continue
+        elif not _is_whole(program, here, path, whole):
             faults.append(f"{path.name} is damaged")
     return faults
 
@@ -252,19 +365,21 @@ def _is_whole(program: Program, here: Path, path: Path, whole: dict[str, Any]) -
         return False
 
 
-def _prepare(folder: Path) -> None:
-    (folder / "arm.toml").write_text(ROBOT, encoding="utf-8")
-    (folder / "settings.json").write_text(SETTINGS, encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, "-c", MAKE], cwd=folder, env=_environment(), capture_output=True, text=True
-    )
-    if done.returncode:
-        raise RuntimeError(f"the input could not be made: {done.stderr}")
+def _start(
+    program: Program, folder: Path, limit: int | None = None, *, obeys: bool = False
+) -> "subprocess.Popen[str]":
+    """Starts a program.
 
-
-def _start(program: Program, folder: Path) -> "subprocess.Popen[str]":
+    - `limit`: of the size of files [bytes].
+    - `obeys`: whether it has no right of a superuser to write everywhere.
+    """
+    line = [sys.executable, *program.line]
+    if obeys and os.geteuid() == 0 and (setpriv := shutil.which("setpriv")):
+        line = [setpriv, "--bounding-set=-dac_override", "--inh-caps=-dac_override", *line]
+    if limit is not None:
+        line = ["sh", "-c", f'ulimit -f {max(limit // 512, 1)}; exec "$@"', "sh", *line]
     return subprocess.Popen(
-        [sys.executable, *program.line],
+        line,
         cwd=folder,
         env=_environment(),
         stdout=subprocess.DEVNULL,
@@ -276,7 +391,7 @@ def _start(program: Program, folder: Path) -> "subprocess.Popen[str]":
 def _finish(program: Program, folder: Path) -> None:
     """**Raises** `RuntimeError` if the program fails."""
     process = _start(program, folder)
-    _, errors = process.communicate()
+    errors = _errors_of(process)
     if process.returncode:
         raise RuntimeError(f"exit code {process.returncode}: {errors[-1000:]}")
 
@@ -289,44 +404,41 @@ def _environment() -> dict[str, str]:
 def _files(folder: Path) -> list[Path]:
     """What is there at this moment; a program may be removing files meanwhile."""
     with contextlib.suppress(FileNotFoundError):
-        return sorted(path for path in folder.rglob("*") if path.is_file())
+        roots = [folder, *(path for path in folder.iterdir() if path.is_symlink())]
+        return sorted(path for root in roots for path in root.rglob("*") if path.is_file())
     return []
 
 
 def _hidden(folder: Path) -> list[str]:
-    hidden = [path.name for path in sorted(folder.rglob(".*"))]
-    return [name for name in hidden if name != MARKER]
+    names = {path.name for root in (folder, folder / "out") for path in root.rglob(".*")}
+    return sorted(names - {MARKER})
 
 
 def _whole(program: Program, folder: Path) -> dict[str, Any]:
     """The output of a finished run, by name."""
     files = [path for path in _files(folder) if path.relative_to(folder).parts[0] in program.output]
-    return {str(path.relative_to(folder)): program.contents(path) for path in files}
+    return {
+        str(path.relative_to(folder)): program.contents(path)
+        for path in files
+        if path.name != MARKER
+    }
 
 
-def _remove_new(folder: Path, before: Sequence[Path]) -> None:
-    for path in _files(folder):
-        if path not in before:
-            path.unlink()
-
-
-def _report(rows: Rows, programs: Sequence[str]) -> int:
-    wrong = 0
-    for name in programs:
-        trials = [row for row in rows.all() if row["program"] == name]
-        for row in trials:
-            for fault in row["faults"]:
-                print(f"{name}, trial {row['trial']}, {row['signal']}: {fault}")
-        faulty = sum(bool(row["faults"]) for row in trials)
-        wrong += faulty
-        kills = sum(row["signal"] == "SIGKILL" for row in trials)
-        print(
-            f"{name}: {len(trials)} trials, {kills} by SIGKILL and {len(trials) - kills} by"
-            f" SIGINT; {sum(row['ended'] for row in trials)} had ended before;"
-            f" {sum(row['left'] > 0 for row in trials)} left something for the next run to"
-            f" remove; {faulty} wrong"
-        )
-    return int(wrong > 0)
+def _report(rows: Sequence[dict[str, Any]]) -> int:
+    """Prints what is wrong, and a table of programs and faults."""
+    for row in rows:
+        for fault in row["faults"]:
+            print(f"{row['program']}, case {row['case']}, {row['fault']}: {fault}")
+    table: list[list[str]] = []
+    for name in [*PROGRAMS, "all"]:
+        some = [row for row in rows if name in (row["program"], "all")]
+        counts = [sum(row["fault"] == fault for row in some) for fault in _FAULTS]
+        left = sum(row["left"] > 0 for row in some)
+        wrong = sum(bool(row["faults"]) for row in some)
+        if some:
+            table.append([name, *map(str, (*counts, left, wrong))])
+    print(text_table(["program", *_FAULTS, "left to the next run", "wrong"], table))
+    return int(any(row["faults"] for row in rows))
 
 
 if __name__ == "__main__":
