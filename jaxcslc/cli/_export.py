@@ -60,15 +60,7 @@ def export_command(
     """
     del overwrite
     with context.progress("reading") as step:
-        file = _file_of(robot)
-        path = Path(f"{file.stem}_identified{file.suffix}") if output is None else output
-        suffix = ".c" if c else file.suffix.lower()
-        if output is not None and output.suffix.lower() != suffix:
-            raise UsageError(f"{output}: expected a name ending in {suffix}")
-        if not c:
-            context.check_output([path, motor_file(path)], read=[file])
-        elif output is not None:
-            context.check_output([output, output.with_suffix(".h")], read=[file])
+        file, path = _files(context, robot, output, c)
         saved = load_report(identification, part.read(str(file)))
         if not force:
             _check_verdict(saved, identification)
@@ -91,10 +83,18 @@ def export_command(
     return Output(with_notes(text, saved.network.robot), lambda: data, paths)
 
 
-def _file_of(robot: str) -> Path:
-    """Return a robot's file; of a bundled robot, too."""
+def _files(context: Context, robot: str, output: Path | None, c: bool) -> tuple[Path, Path]:
+    """Return the file of a robot, bundled or not, and the one to write, which is checked."""
     bundled = files("jaxcslc.manipulator") / "robots" / f"{robot}.toml"
-    return Path(str(bundled)) if robot in BUNDLED else Path(robot)
+    file = Path(str(bundled)) if robot in BUNDLED else Path(robot)
+    path = Path(f"{file.stem}_identified{file.suffix}") if output is None else output
+    suffix = ".c" if c else file.suffix.lower()
+    if output is not None and output.suffix.lower() != suffix:
+        raise UsageError(f"{output}: expected a name ending in {suffix}")
+    if not c or output is not None:
+        beside = path.with_suffix(".h") if c else motor_file(path)
+        context.check_output([path, beside], read=[file])
+    return file, path
 
 
 def _check_verdict(saved: Report, identification: Path) -> None:

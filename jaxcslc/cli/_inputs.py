@@ -148,9 +148,10 @@ class RobotPart:
         """Read a bundled robot, or the part of a robot file."""
         fixed = [part for names in self.fix or () for part in names_in(names)]
         if name not in BUNDLED:
-            part = {"base": self.base, "tip": self.tip or (), "fix": fixed, "mimic": self.mimic}
             with processes_beside():  # what crashes MuJoCo ends another process than this one
-                return load_robot(name, **part)
+                return load_robot(
+                    name, base=self.base, tip=self.tip or (), fix=fixed, mimic=self.mimic
+                )
         if self.base is not None or self.tip or fixed or self.mimic:
             raise RobotError(
                 f"{name}: base, tip, fix and mimic choose a part of a file; {name} is one robot"
