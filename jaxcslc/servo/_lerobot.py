@@ -20,6 +20,9 @@ _ACTION, _STATE = "action", "observation.state"
 _RESOLUTION = 4096  # ticks per turn of Feetech STS and Dynamixel X servos
 _RANGE = 100.0  # normalised values are -100 to 100
 _PERCENT = 100.0  # a gripper's are 0 to 100
+# Robots of LeRobot with Dynamixel servos, by parts of their type. These servos apply the drive mode
+# themselves; LeRobot applies it to positions of Feetech servos.
+_DYNAMIXEL = ("koch", "omx", "viperx", "widowx", "aloha")
 
 
 def lerobot_episodes(
@@ -54,7 +57,11 @@ def lerobot_episodes(
     states = np.stack([columns[f"{_STATE}[{i}]"] for _, i in motors.values()], axis=1)
     names = list(motors)
     if not raw:
-        scale, zero, kept, more = _scale(folder, names, [actions, states], units, calibration)
+        kind = str(info.get("robot_type"))
+        reverses = not any(part in kind for part in _DYNAMIXEL)
+        scale, zero, kept, more = _scale(
+            folder, names, [actions, states], units, calibration, reverses
+        )
         names, notes = [names[i] for i in kept], [*notes, *more]
         actions, states = ((v[:, kept] - zero) * scale for v in (actions, states))
     episodes = columns["episode_index"]
@@ -146,11 +153,13 @@ def _scale(
     values: Sequence[Float[np.ndarray, "rows motors"]],
     units: str | None,
     calibration: str | os.PathLike[str] | None,
+    reverses: bool,
 ) -> tuple[np.ndarray, np.ndarray, list[int], list[str]]:
     """Return radians per unit, the value that stands for 0, which motors are kept, and notes.
 
     Radians are (value - zero) times scale. LeRobot has grippers in percent of their range, and the
-    other joints in degrees from the middle of their range, or in -100 to 100 of it.
+    other joints in degrees from the middle of their range, or in -100 to 100 of it. `reverses` says
+    whether the drive mode of the calibration changes signs of percent and of -100 to 100.
     """
     grippers = [name == "gripper" or name.endswith("_gripper") for name in names]
     joints = [i for i, gripper in enumerate(grippers) if not gripper] or list(range(len(names)))
@@ -185,6 +194,7 @@ def _scale(
             continue
         assert document is not None
         low, high, sign = _range(Path(str(calibration)), document, name)
+        sign = sign if reverses else 1.0
         span = sign * (high - low) * 2.0 * math.pi / _RESOLUTION
         scale.append(span / _PERCENT if gripper else span / (2.0 * _RANGE))
         # Of a gripper whose direction is reversed, 100 is the lower end.

@@ -143,6 +143,18 @@ def test_units_with_the_calibration_file(tmp_path: Path, units: Any, convert: An
         assert any(units in note for note in recording.notes)
 
 
+def test_drive_modes_of_dynamixel_servos(tmp_path: Path) -> None:
+    """LeRobot does not reverse their positions: the servos do."""
+    commands, _ = angles(1)
+    values = [normalised(command) for command in commands]
+    values[0][:, 1] *= -1.0  # not reversed
+    data_set = write_data_set(tmp_path / "set", values, values, robot_type="koch_follower")
+    recordings = load_servo_recordings(
+        data_set, MOTORS, units="normalised", calibration=calibration(tmp_path)
+    )
+    np.testing.assert_allclose(recordings["episode 0"].command, commands[0], atol=SINGLE)
+
+
 def test_units_that_values_do_not_show(tmp_path: Path) -> None:
     commands, positions = angles(1)
     far = [np.degrees(3.0 * command) for command in commands]
