@@ -1,6 +1,7 @@
 """`jaxcslc identify --drive servo`: its options, recordings and report."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -81,7 +82,7 @@ class ServoOptions:
     def __post_init__(self) -> None:
         if (self.loaded is None) != (self.mass is None):
             raise UsageError("--loaded and --mass: got one of them; expected both or neither")
-        if self.mass is not None and not self.mass > 0.0:
+        if self.mass is not None and not 0.0 < self.mass < math.inf:
             raise UsageError(f"--mass: expected more than 0 kg, got {self.mass:g}")
         self._centre()
 
@@ -89,9 +90,9 @@ class ServoOptions:
         try:
             x, y, z = (float(part) for part in self.centre.split(","))
         except ValueError:
-            raise UsageError(
-                f"--centre: expected X,Y,Z in m, as in 0,0,0.05, got {self.centre!r}"
-            ) from None
+            x = y = z = math.nan
+        if not all(map(math.isfinite, (x, y, z))):
+            raise UsageError(f"--centre: expected X,Y,Z in m, as in 0,0,0.05, got {self.centre!r}")
         return [x, y, z]
 
     def payload(self, robot: Manipulator) -> LinkParameters:

@@ -112,7 +112,13 @@ def _motors(
         if isinstance(names, Mapping):  # of version 2: {"motors": [...]}
             names = next(iter(names.values()), None)
         if not isinstance(names, Sequence) or isinstance(names, str):
-            names = [str(i + 1) for i in range(int((feature.get("shape") or [0])[0]))]
+            shape = feature.get("shape")
+            if not (isinstance(shape, list) and shape and isinstance(shape[0], int)):
+                raise RecordingError(
+                    f"{folder / LEROBOT_INFO}: {key} has shape {shape!r}; expected a list with the"
+                    " number of motors"
+                )
+            names = [str(i + 1) for i in range(shape[0])]
         names = [str(name) for name in names]
         suffixed = any(name.endswith(".pos") for name in names)
         kept = {

@@ -246,6 +246,10 @@ class TestErrors:
             tmp_path / "set", *angles(1), features={"action": {"shape": [3], "names": None}}
         )
         assert "no feature 'observation.state'; the data set has action" in self.message(data_set)
+        wrong = {"names": None, "shape": "x"}
+        features = {"action": wrong, "observation.state": wrong}
+        data_set = write_data_set(tmp_path / "wrong", *angles(1), features=features)
+        assert "action has shape 'x'; expected a list with the number" in self.message(data_set)
 
     def test_of_lists(self, tmp_path: Path) -> None:
         data_set = write_data_set(tmp_path / "set", *angles(1), version="v2.1")
