@@ -146,14 +146,15 @@ def parse_length(value: object, lengths: dict[str, float], where: str) -> Length
     return Length(number, None)
 
 
+LARGEST = 1e9
+"""Numbers of no robot are larger, in SI units; beyond, products of them overflow."""
+
+
 def finite_number(value: object) -> float | None:
-    """The number as a float, or None for anything else, and for what no float64 holds."""
+    """The number as a float, or None for anything else, and for what is larger than `LARGEST`."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
-    try:
-        return float(value) if math.isfinite(value) else None
-    except OverflowError:  # an integer of 309 digits and more
-        return None
+    return float(value) if abs(value) <= LARGEST else None
 
 
 def length_table(values: Mapping[str, object], where: str) -> dict[str, float]:

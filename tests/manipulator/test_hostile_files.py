@@ -369,3 +369,14 @@ def test_the_command_ends_with_code_2(
     assert run(arguments, configure=False) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert line.startswith(f"jaxcslc: {path}")
+
+
+@pytest.mark.parametrize(
+    "entry",
+    ["a = -1e300", "d = 1e10", 'a = "a1"\n[lengths]\na1 = 1e200', "viscous = 1e100"],
+)
+def test_numbers_whose_products_overflow(entry: str, tmp_path: Path) -> None:
+    path = tmp_path / "arm.toml"
+    path.write_text(f"gravity = [0, 0, -9.81]\n[[joint]]\n[[joint]]\n{entry}\n")
+    with pytest.raises(jc.RobotError, match="finite"):
+        jc.load_robot(path)

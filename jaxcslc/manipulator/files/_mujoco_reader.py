@@ -18,10 +18,10 @@ from jaxtyping import Float
 from jaxcslc._environment import require
 from jaxcslc._processes import computed_in_bounds
 
-from .._joint import JointKind, RobotError
+from .._joint import LARGEST, JointKind, RobotError
 from .._link_parameters import LinkParameters
 from .._manipulator import JointLimits, Manipulator, Mimic
-from ._urdf import LARGEST, Edit, simplified
+from ._urdf import Edit, simplified
 
 
 # By which a file's numbers may miss being an inertia, relatively, and absolutely [kg m²]: inertias

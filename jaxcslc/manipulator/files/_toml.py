@@ -13,6 +13,7 @@ from jaxcslc._toml_document import toml_document
 
 from .._friction import STATIC_SLOPE, Coupling, couplings
 from .._joint import (
+    LARGEST,
     Joint,
     Numbering,
     RobotError,
@@ -373,7 +374,7 @@ def _array(value: Any, shape: tuple[int, ...], at: str) -> np.ndarray:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         array = np.empty(0)
-    if array.shape != shape or not np.all(np.isfinite(array)):
+    if array.shape != shape or not np.all(np.abs(array) <= LARGEST):
         size = " by ".join(str(length) for length in shape)
         raise RobotError(f"{at}: expected {size} finite numbers, got {value!r}")
     return array

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.parsers import expat
 
-from .._joint import RobotError
+from .._joint import LARGEST, RobotError
 from .._manipulator import JointLimits, Mimic
 
 
@@ -22,7 +22,6 @@ from .._manipulator import JointLimits, Mimic
 _DEEPEST, _MOST_ELEMENTS, _MOST_BODIES = 256, 200_000, 3000
 # Where bodies and joints are: MuJoCo computes with any number, and poses become NaN without a word.
 _PLACEMENT = {"xyz", "rpy", "pos", "axis", "quat", "euler", "axisangle", "xyaxes", "zaxis"}
-LARGEST = 1e9  # metres or radians of a placement; also of a drive's numbers, in SI units
 _TAG = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""")
 
 
