@@ -176,6 +176,19 @@ def replay_in_mujoco(
 
     - `RobotError`: a model that MuJoCo cannot read, or of another number of joints.
     - `MissingExtraError`: without MuJoCo (the extra `urdf`).
+
+    >>> import tempfile
+    >>> import jaxcslc as jc
+    >>> from jaxcslc.servo import ServoDrive, ServoRecording, replay_in_mujoco, write_servo_mjcf
+    >>> time = np.arange(50) * 0.02
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     robot = jc.load_robot(jc.examples.write_example("panda", folder).robot)
+    ...     drives = [ServoDrive(gain=1e4, damping=300.0)] * robot.joint_count
+    ...     written = write_servo_mjcf(robot, drives, Path(folder) / "servos.xml")
+    ...     command = np.tile([0.1, 0.2, 0.0, -1.0, 0.0, 1.0, 0.3], (50, 1))
+    ...     replayed = replay_in_mujoco(written.path, ServoRecording(time, command, command))
+    >>> bool(np.max(np.abs(replayed - command)) < 0.01)
+    True
     """
     mujoco: Any = require("mujoco", "urdf")
     try:

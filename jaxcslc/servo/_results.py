@@ -73,6 +73,23 @@ class ServoReport:
     - `lag`: delay of the command that positions of the training recordings follow best [s].
     - `model`: text of the MuJoCo model; None of robots that come from no URDF or MJCF file.
     - `approximations`: what the model cannot express, a sentence each.
+    - `notes`: on the recordings.
+
+    >>> import dataclasses
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.manipulator import LinkParameters
+    >>> from jaxcslc.servo import ServoDrive, ServoFit, ServoRecording, servo_report, simulate
+    >>> rod = LinkParameters(0.5, np.array([0.2, 0.0, 0.0]), 0.002 * np.eye(3))
+    >>> arm = dataclasses.replace(jc.examples.pendulum(), links=(rod,))
+    >>> drive = ServoDrive(12.0, 0.8, delay=0.02, armature=0.02)
+    >>> time = np.arange(100) * 0.02
+    >>> command = np.sin(3.0 * time)[:, None]
+    >>> position = simulate(arm, [drive], time, command, [0.0])
+    >>> recording = ServoRecording(time, position, command)
+    >>> fit = ServoFit(arm, (drive,), (), np.zeros((0, 0)), "torque")
+    >>> report = servo_report(fit, {"sine": recording})
+    >>> [row["joint"] for row in report.error_rows()]
+    ['joint 1', 'all']
     """
 
     fit: ServoFit
@@ -422,6 +439,22 @@ def servo_report(
     - `progress`: is called with a few words at the start of each step.
 
     **Returns** the report.
+
+    >>> import dataclasses
+    >>> import numpy as np, jaxcslc as jc
+    >>> from jaxcslc.manipulator import LinkParameters
+    >>> from jaxcslc.servo import ServoDrive, ServoFit, ServoRecording, servo_report, simulate
+    >>> rod = LinkParameters(0.5, np.array([0.2, 0.0, 0.0]), 0.002 * np.eye(3))
+    >>> arm = dataclasses.replace(jc.examples.pendulum(), links=(rod,))
+    >>> drive = ServoDrive(12.0, 0.8, delay=0.02, armature=0.02)
+    >>> time = np.arange(100) * 0.02
+    >>> command = np.sin(3.0 * time)[:, None]
+    >>> position = simulate(arm, [drive], time, command, [0.0])
+    >>> recording = ServoRecording(time, position, command)
+    >>> fit = ServoFit(arm, (drive,), (), np.zeros((0, 0)), "torque")
+    >>> report = servo_report(fit, {"sine": recording})
+    >>> bool(report.errors(report.simulated)[0] < 0.05), list(report.compared())
+    (True, ['command', 'simulation'])
     """
     step = progress or (lambda words: None)
     everything = {**training, **(held_out or {})}
