@@ -284,6 +284,14 @@ def _estimator(options: IdentifyOptions) -> str:
     return options.estimator or ("auto" if options.quality == "best" else "least-squares")
 
 
+def _friction(options: IdentifyOptions, drives: Drives) -> Literal["auto", "offset"] | None:
+    """What is chosen of friction: offsets, unless terms are named."""
+    if drives.friction == "auto":
+        return "auto"
+    unnamed = drives.friction is None and options.previous is None and not options.offsets
+    return "offset" if unnamed else None
+
+
 def _identified(
     context: Context,
     arm: Manipulator,
@@ -314,7 +322,7 @@ def _identified(
         offsets=options.offsets,
         previous=None if saved is None else saved.fit,
         groups=None if options.reidentify is None else names_in(options.reidentify),
-        friction="auto" if drives.friction == "auto" else None,
+        friction=_friction(options, drives),
         options={name: value for name, value in stated.items() if value is not None},
         folds=options.folds,
         checks=options.check,

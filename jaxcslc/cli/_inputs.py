@@ -174,7 +174,7 @@ class Drives:
             metavar="TERMS",
             help="Friction terms of every joint, as in viscous,dry,static (docs/friction.md); dry"
             " is Coulomb friction. identify also takes auto, which chooses them joint by joint. By"
-            " default those of the robot file.",
+            " default those of the robot file; identify adds torque offsets that help.",
         ),
     ] = None
     coupled: Annotated[

@@ -36,7 +36,7 @@ class Request:
     offsets: bool = False
     previous: Previous | None = None
     groups: tuple[str, ...] | None = None
-    friction: Literal["auto"] | None = None
+    friction: Literal["auto", "offset"] | None = None
     options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     folds: int | None = None
     checks: bool = True
@@ -134,7 +134,7 @@ EXCLUSIONS = (
     *(
         Exclusion((PREVIOUS, feature), f"{name} cannot be combined with previous=")
         for feature, name in (
-            ("chosen friction", 'friction="auto"'),
+            ("chosen friction", "friction={r.friction!r}"),
             (BODIES, 'possible="always"'),
             ("prior", "prior="),
         )
@@ -204,10 +204,10 @@ def check_request(request: Request) -> None:
     **Raises** `ValueError`: a choice that there is not, features that are not combined, or a prior
     that is not of the network.
     """
-    if request.friction not in ("auto", None):
+    if request.friction not in ("auto", "offset", None):
         raise ValueError(
-            f"friction: expected 'auto' or None, got {request.friction!r}; terms are those of the"
-            " network"
+            f"friction: expected 'auto', 'offset' or None, got {request.friction!r}; by None terms"
+            " are those of the network"
         )
     if request.possible not in get_args(Choice):
         raise ValueError(

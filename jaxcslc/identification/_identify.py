@@ -25,10 +25,12 @@ from ..recordings import Patterns, Recording
 from ..report import Report, compare, degree_of_excitation, fit_warnings
 from ..selection import (
     FRICTION_CANDIDATES,
+    OFFSET,
     PRE_SLIDING,
     SAMPLES_OF_THREADS,
     FrictionChoice,
     choose_friction,
+    motion_part,
 )
 from ..uncertainty import SeveralFit
 from ._estimator import AbstractEstimator, Judged
@@ -40,6 +42,7 @@ from ._problem import (
     VALIDATION,
     ChosenSettings,
     basic_settings,
+    judged_part,
     prepare,
     select_settings,
     with_file_prior,
@@ -75,7 +78,8 @@ class ChosenFriction:
     - `settings`: that terms were judged by; None if the request has its own.
     - `terms`: joint by joint, and what each was worth.
     - `tried`: pre-sliding as it was tried before all fits; None if it was not.
-    - `not_tried`: why it was not, in words; None if it is to be tried beside the fit.
+    - `not_tried`: why it was not, in words, empty if it was not asked for; None if it is to be
+      tried beside the fit.
     """
 
     request: Request
@@ -83,6 +87,35 @@ class ChosenFriction:
     terms: FrictionChoice
     tried: PreSlidingFit | None = None
     not_tried: str | None = None
+
+
+def with_offsets(request: Request, step: Callable[[str], None]) -> ChosenFriction:
+    """Add a constant torque to joints whose motion is predicted better with it.
+
+    It is judged like the terms of `choose_friction_terms`. Where it cannot be, none is added.
+    """
+    chosen = select_settings(request, step) if request.settings is None else None
+    settings, part = basic_settings(request, chosen), judged_part(request)
+    terms = FrictionChoice(request.network, ())
+    motion = None
+    if chosen is not None and motion_part(settings.preparation) == motion_part(
+        chosen.selection.settings.preparation
+    ):
+        motion = chosen.motion
+    step("trying torque offsets")
+    # Of a recording that is too short, or cannot be prepared, the fit says so.
+    with contextlib.suppress(ValueError, RuntimeError):
+        terms = choose_friction(
+            request.network,
+            part,
+            settings,
+            candidates=[OFFSET],
+            others=[x for name, x in request.training.items() if name != request.longest],
+            motion=motion,
+        )
+    request = dataclasses.replace(request, network=terms.network)
+    terms = dataclasses.replace(terms, brief=True)
+    return ChosenFriction(request, chosen, terms, not_tried="")
 
 
 def choose_friction_terms(request: Request, step: Callable[[str], None]) -> ChosenFriction:
@@ -101,6 +134,7 @@ def choose_friction_terms(request: Request, step: Callable[[str], None]) -> Chos
         longest,
         basic_settings(request, chosen),
         candidates=candidates,
+        others=[x for name, x in request.training.items() if name != request.longest],
         progress=step,
     )
     request = dataclasses.replace(request, network=terms.network)
@@ -154,12 +188,14 @@ def friction_results(
                 states, relative=tried.relative, tried_distance=tried.tried_distance
             )
     if chosen is not None and tried is None:
-        not_tried = chosen.not_tried or (None if problem.part is None else _TOO_LONG)
+        not_tried = chosen.not_tried
+        if not_tried is None and problem.part is not None:
+            not_tried = _TOO_LONG
         if not_tried is None:
             patterns = problem.patterns["training"]
             tried, not_tried = _tried(judged.fit.network, patterns, problem.solver, problem.step)
         if tried is None:
-            notes = (f"{PRE_SLIDING} was not tried: {not_tried}",)
+            notes = (f"{PRE_SLIDING} was not tried: {not_tried}",) if not_tried else ()
         else:
             terms = chosen.terms.with_pre_sliding(tried)
             states = tried if tried.joint_names else None
@@ -211,7 +247,7 @@ def identify(
     offsets: bool = False,
     previous: Previous | None = None,
     groups: Sequence[str] | None = None,
-    friction: Literal["auto"] | None = None,
+    friction: Literal["auto", "offset"] | None = None,
     options: Mapping[str, Any] | None = None,
     folds: int | None = None,
     checks: bool = True,
@@ -259,8 +295,10 @@ def identify(
     - `friction`: `"auto"` adds, joint by joint, the friction terms that improve prediction of
       held-out data (`choose_friction`), then tries pre-sliding friction (`fit_pre_sliding`).
       `report.friction` has the gain of each, `report.pre_sliding` the fit with states, where a
-      joint gains by them. Maximum likelihood is fitted with their distances, and compared with
-      least squares with states. Settings are selected once, for the network as it is passed.
+      joint gains by them. `"offset"` tries a constant torque of each joint alone, as the command
+      does by default. None leaves the network's terms. Maximum likelihood is fitted with their
+      distances, and compared with least squares with states. Settings are selected once, for the
+      network as it is passed.
     - `options`: of `Preparation` and `LeastSquares`, set whatever the settings are, such as
       `{"torque_lag": 0.02, "loss": "huber"}`.
     - `folds`: as of `choose_settings`; by default 8, or fewer where the recording is short.
@@ -340,8 +378,9 @@ def _identified(
 ) -> Report:
     """The report of a request that has been checked."""
     friction: ChosenFriction | None = None
-    if request.friction == "auto":
-        friction = choose_friction_terms(request, step)
+    if request.friction is not None:
+        choose = choose_friction_terms if request.friction == "auto" else with_offsets
+        friction = choose(request, step)
         request = friction.request
     with estimator.beside(request) as begin, _checked_beside(request, step) as data_check:
         problem = prepare(request, None if friction is None else friction.settings, step)

@@ -359,9 +359,7 @@ def with_file_prior(problem: Problem) -> Problem:
 def select_settings(request: Request, step: Callable[[str], None]) -> ChosenSettings:
     """Select settings by cross-validation within the longest recording, some set in advance."""
     step("choosing settings")
-    training, section, _ = _within_memory(request)
-    recording = max(training.values(), key=lambda some: some.samples)
-    recording = recording if section is None else section.recording
+    recording = judged_part(request)
     candidates = Candidates.suited_to(recording, request.network)
     if "torque_lag" in request.options:
         candidates = dataclasses.replace(candidates, torque_lags=(request.options["torque_lag"],))
@@ -370,6 +368,14 @@ def select_settings(request: Request, step: Callable[[str], None]) -> ChosenSett
         folds = max(2, min(FOLDS, recording.samples // _FEWEST_OF_FOLD))
     selection, motion = selection_with_motion(request.network, recording, candidates, folds=folds)
     return ChosenSettings(selection, request.network, motion)
+
+
+def judged_part(request: Request) -> Recording:
+    """Return the longest recording, or the part of it that fits are judged on."""
+    training, section, _ = _within_memory(request)
+    if section is not None:
+        return section.recording
+    return max(training.values(), key=lambda some: some.samples)
 
 
 def basic_settings(request: Request, chosen: ChosenSettings | None) -> Settings:

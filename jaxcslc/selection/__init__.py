@@ -11,6 +11,7 @@ In: a network and a recording. Out: `Settings` or friction terms, with all trial
 from ._candidates import Candidates as Candidates
 from ._friction import (
     FRICTION_CANDIDATES as FRICTION_CANDIDATES,
+    OFFSET as OFFSET,
     PRE_SLIDING as PRE_SLIDING,
     FrictionChoice as FrictionChoice,
     FrictionTrial as FrictionTrial,

@@ -1,18 +1,26 @@
-"""Choice of friction terms, joint by joint, by errors on held-out data."""
+"""Choice of friction terms, joint by joint, by errors on held-out data.
+
+Stretches of one recording are alike. So a term is judged a second time on motion that differs: fits
+to the slow half predict the fast half and the other way round, fits to positions near the middle
+those far from it, and a fit to the recording predicts all others.
+"""
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ..friction import PreSlidingFit, fit_load, fit_slopes, linearised
-from ..least_squares import Settings
+from ..least_squares import Settings, columns_of, torque_of
 from ..manipulator import RobotError
 from ..network import CSLC, DIRECTIONAL_LOAD, LOAD
 from ..recordings import (
     DEFAULT_THRESHOLD_FRACTION,
+    Derivatives,
+    Patterns,
     Recording,
     friction_mask,
     friction_thresholds,
@@ -22,11 +30,12 @@ from ..uncertainty import RelativeError, fold_numbers
 from ._selection import choose_settings
 
 
+OFFSET = "offset"
 # In the order in which they are tried: a constant decides more, on real arms, than all others.
 # Friction that differs between directions is viscous and dry: tried one by one, either makes up for
 # the other.
 FRICTION_CANDIDATES = (
-    "offset",
+    OFFSET,
     "asymmetric_viscous",
     "asymmetric_viscous and offset",
     "static",
@@ -58,6 +67,8 @@ class FrictionTrial:
     - `joint`: counted from 1; `kind`: of the term, or two of them joined by "and".
     - `relative`: the joint's held-out error with the term over that without it; of pre-sliding over
       all samples, of other kinds over those at which the joint moves.
+    - `elsewhere`: the same on motion that differs from what was fitted: in speed and position, or
+      other recordings, whichever are predicted worse; None of pre-sliding.
     - `used`: whether the joint has the term in the end.
     - `possible`: whether the fit kept the term: a slope of static friction may not be determined, a
       coefficient of the load may be none that friction has, no length of pre-sliding may fit
@@ -77,6 +88,7 @@ class FrictionTrial:
     possible: bool = True
     length: float | None = None
     length_unit: str = "rad"
+    elsewhere: RelativeError | None = None
 
     def __str__(self) -> str:
         if not self.possible:
@@ -87,13 +99,20 @@ class FrictionTrial:
             if self.length is None
             else f" over all samples, length {self.length:.2g} {self.length_unit}"
         )
-        return f"{self.kind} {self.relative}{length}{', used' if self.used else ''}"
+        other = self.elsewhere
+        differs = "" if other is None else f" ({100 * np.expm1(other.change):+.2g} % elsewhere)"
+        return f"{self.kind} {self.relative}{differs}{length}{', used' if self.used else ''}"
 
     def document(self) -> dict[str, Any]:
         """The trial as plain data."""
         entries = dataclasses.asdict(self)
-        relative = entries.pop("relative")
-        return {**entries, "change": relative["change"], "change_error": relative["change_error"]}
+        relative, elsewhere = entries.pop("relative"), entries.pop("elsewhere")
+        return {
+            **entries,
+            "change": relative["change"],
+            "change_error": relative["change_error"],
+            "change_elsewhere": None if elsewhere is None else elsewhere["change"],
+        }
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -105,15 +124,22 @@ class FrictionChoice:
     - `network`: with the terms; the robot that it was derived from is `network.robot`.
     - `trials`: in the order in which they were made.
     - `note`: what was added without a trial, if anything was.
+    - `brief`: whether sentences name only what is used.
     """
 
     network: CSLC
     trials: tuple[FrictionTrial, ...]
     note: str | None = None
+    brief: bool = False
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """Sentences, one per joint: what was tried, and what it changed of held-out errors."""
+        if self.brief:
+            names = self.network.output_names
+            used = [f"{names[x.joint - 1]} {x.kind} {x.relative}" for x in self.trials if x.used]
+            words = "friction terms added, held-out error with a term over that without"
+            return (f"{words}: {', '.join(used)}",) if used else ()
         by_joint: dict[int, list[str]] = {}
         for trial in self.trials:
             by_joint.setdefault(trial.joint, []).append(str(trial))
@@ -187,6 +213,8 @@ def choose_friction(
     settings: Settings | None = None,
     *,
     candidates: Sequence[str] = FRICTION_CANDIDATES,
+    others: Sequence[Recording] = (),
+    motion: Derivatives | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> FrictionChoice:
     """Friction terms that predict motion better that was not fitted, joint by joint.
@@ -195,6 +223,8 @@ def choose_friction(
     it, and a joint gets the one that makes its error smallest on stretches that were left out of
     the fit, if it falls by 1 % at least and by more than chance explains (Student's t over the
     stretches, one-sided, at 5 % divided by the number of candidates); until no joint gets another.
+    On motion that differs from what was fitted its error must not rise: slow or fast motion,
+    positions near the middle or far from it, another recording.
     Viscous friction of each direction takes the place of that of both.
 
     Stretches of one recording have one range of motion, in which an offset may be as good as a
@@ -208,6 +238,8 @@ def choose_friction(
     - `settings`: of preparation and fit; chosen on the recording if None.
     - `candidates`: kinds of friction, or some joined by "and". Those that are collinear with a
       joint's terms are left out.
+    - `others`: recordings of the same robot, which terms are judged on too.
+    - `motion`: the recording's derivatives by the settings, if they are known already.
     - `progress`: is called with a few words at each trial.
 
     **Returns** a `FrictionChoice`.
@@ -228,24 +260,27 @@ def choose_friction(
     if settings is None:
         progress("choosing settings")
         settings = choose_settings(network, recording).settings
+    judge = _Judge(recording, settings, others, motion)
     trials: list[FrictionTrial] = []
     chance = 0.05 / max(len(candidates), 1)
     for _ in range(_ROUNDS):
-        before, _, _ = _held_out(network, recording, settings)
+        before = judge.held_out(network)
         tried: list[FrictionTrial] = []
         for kind in candidates:
             for richer, joints in _with(network, kind):
                 progress(f"trying friction: {kind}")
                 try:
-                    errors, mask, laws = _held_out(richer, recording, settings)
+                    after = judge.held_out(richer)
                 except (ValueError, RuntimeError):  # nothing in the motion determines it
                     continue
-                fold = fold_numbers(len(mask))
-                unclear = _unclear_offsets(richer, recording, settings) if "offset" in kind else ()
+                unclear = judge.unclear_offsets(richer) if "offset" in kind else ()
                 for joint in joints:
-                    relative = RelativeError.of_joint(errors, before, mask, fold, joint)
-                    possible = {*_kinds(kind)} <= {*laws[joint - 1]} and joint not in unclear
-                    tried.append(FrictionTrial(joint, kind, relative, False, possible))
+                    possible = {*_kinds(kind)} <= {*after.laws[joint - 1]} and joint not in unclear
+                    relative, *differing = after.relative(before, joint)
+                    worst = max(differing, key=lambda some: some.change)
+                    tried.append(
+                        FrictionTrial(joint, kind, relative, False, possible, elsewhere=worst)
+                    )
         best = _best(tried, chance)
         trials += [dataclasses.replace(trial, used=trial in best.values()) for trial in tried]
         if not best:
@@ -301,25 +336,151 @@ def _with_kind(kinds: Sequence[str], candidate: str) -> tuple[str, ...]:
     return (*(kind for kind in kinds if kind not in replaced), *more)
 
 
-def _unclear_offsets(network: CSLC, recording: Recording, settings: Settings) -> tuple[int, ...]:
-    """Joints, from 1, whose offset the motion does not tell from gravity.
+class _Part(NamedTuple):
+    """Errors on motion that a fit has not seen (samples, n), what counts of them, and the number of
+    each sample's fit or recording, ascending."""
 
-    Of a joint without dry friction, there is nothing that its offset would be small beside.
+    errors: Float[np.ndarray, "samples joints"]
+    mask: Bool[np.ndarray, "samples joints"]
+    fold: Int[np.ndarray, " samples"]
+
+
+@dataclasses.dataclass(frozen=True)
+class _HeldOut:
+    """Errors of a network's fits: on stretches, on halves of motion, and on other recordings.
+
+    - `laws`: the joints' friction where the fit was possible.
     """
-    if network.load_terms:
-        network = network.without_load()
-    if "static" in network.robot.friction_terms:
-        network = network.without_law("static", range(1, network.joint_count + 1))
-    suited = settings.for_network(network)
-    fit = suited.fit(network, suited.patterns(recording))
-    k, error = np.abs(np.asarray(fit.k)), np.asarray(fit.standard_error)
-    offset, dry = (_indices(network, kind) for kind in ("offset", "dry"))
-    return tuple(
-        joint
-        for joint in offset.keys() & dry.keys()
-        if not error[offset[joint]]
-        <= max(_OFFSET_ERROR * k[dry[joint]], k[offset[joint]] / _OFFSET_SIGNIFICANT)
-    )
+
+    parts: tuple[_Part, ...]
+    laws: tuple[tuple[str, ...], ...]
+
+    def relative(self, reference: "_HeldOut", joint: int) -> list[RelativeError]:
+        """Compare errors of a joint, from 1, with others on the same motion: one of each part."""
+        return [
+            RelativeError.of_joint(part.errors, other.errors, part.mask, part.fold, joint)
+            for part, other in zip(self.parts, reference.parts, strict=True)
+        ]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Judge:
+    """Recordings that terms are judged on: a fitted one, and `others`.
+
+    - `motion`: derivatives of the fitted one, where they are known.
+    """
+
+    recording: Recording
+    settings: Settings
+    others: Sequence[Recording]
+    motion: Derivatives | None
+
+    @cached_property
+    def derivatives(self) -> tuple[Derivatives, ...]:
+        """Of all recordings: they do not depend on friction."""
+        derivatives = self.settings.preparation.derivatives
+        first = derivatives(self.recording) if self.motion is None else self.motion
+        return (first, *map(derivatives, self.others))
+
+    def patterns(self, settings: Settings) -> list[Patterns]:
+        """Return the patterns of all recordings by settings that suit a network."""
+        recordings = (self.recording, *self.others)
+        return [
+            settings.preparation.patterns(recording, derivatives)
+            for recording, derivatives in zip(recordings, self.derivatives, strict=True)
+        ]
+
+    def held_out(self, network: CSLC) -> _HeldOut:
+        """Judge a network's friction.
+
+        Fits are of the pairs that masks leave in; judged are all that move. Judged over the former
+        alone, a KUKA KR300's joint 5 got a quadratic term, 33 % better there, with which two other
+        motions are predicted 7 % worse.
+
+        Slopes of static friction, and the rigid torque that friction of the load follows to first
+        order, are those of all stretches: a few numbers of thousands of rows.
+        """
+        suited = self.settings.for_network(network)
+        listed, solver = self.patterns(suited), suited.solver
+        qd = [np.asarray(patterns.qd) for patterns in listed]
+        # From the speed on that static friction is fitted from.
+        slowest = static_fractions(DEFAULT_THRESHOLD_FRACTION, [True] * qd[0].shape[1])
+        moving = [friction_mask(some, friction_thresholds(some, slowest)) for some in qd]
+        if network.load_terms:
+            load = fit_load(network, listed[0], solver=solver)
+            pairs = [linearised(load.network, load.fit.k, patterns) for patterns in listed]
+            networks, listed = [network for network, _ in pairs], [some for _, some in pairs]
+        else:
+            if "static" in network.robot.friction_terms:
+                network = fit_slopes(network, listed[0], solver=solver).network
+            networks = [network] * len(listed)
+        first = listed[0]
+        stretches = fold_numbers(first.samples)
+        halves = _halves(first, moving[0])
+        columns = columns_of(networks[0], first)
+        stretches_errors, *halves_errors = (
+            solver.held_out_errors(networks[0], first, fold, columns)
+            for fold in (stretches, *halves)
+        )
+        parts = [
+            _Part(stretches_errors, moving[0], stretches),
+            _joined(halves_errors, [moving[0]] * 2, halves),
+        ]
+        if len(listed) > 1:
+            k = solver.coefficients(solver.equations(networks[0], first))
+            errors = [
+                np.asarray(patterns.torque) - torque_of(some, patterns, k)
+                for some, patterns in zip(networks[1:], listed[1:], strict=True)
+            ]
+            parts.append(_joined(errors, moving[1:], [fold_numbers(len(some)) for some in errors]))
+        return _HeldOut(tuple(parts), networks[0].friction_per_joint)
+
+    def unclear_offsets(self, network: CSLC) -> tuple[int, ...]:
+        """Joints, from 1, whose offset the motion does not tell from gravity.
+
+        Of a joint without dry friction, there is nothing that its offset would be small beside.
+        """
+        if network.load_terms:
+            network = network.without_load()
+        if "static" in network.robot.friction_terms:
+            network = network.without_law("static", range(1, network.joint_count + 1))
+        suited = self.settings.for_network(network)
+        fit = suited.fit(network, self.patterns(suited)[0])
+        k, error = np.abs(np.asarray(fit.k)), np.asarray(fit.standard_error)
+        offset, dry = (_indices(network, kind) for kind in ("offset", "dry"))
+        return tuple(
+            joint
+            for joint in offset.keys() & dry.keys()
+            if not error[offset[joint]]
+            <= max(_OFFSET_ERROR * k[dry[joint]], k[offset[joint]] / _OFFSET_SIGNIFICANT)
+        )
+
+
+def _joined(
+    errors: Sequence[np.ndarray], masks: Sequence[np.ndarray], folds: Sequence[np.ndarray]
+) -> _Part:
+    """Several parts as one, numbers of folds behind each other."""
+    starts = np.cumsum([0, *(int(fold.max()) + 1 for fold in folds[:-1])])
+    fold = np.concatenate([some + start for some, start in zip(folds, starts, strict=True)])
+    order = np.argsort(fold, kind="stable")
+    return _Part(np.concatenate(errors)[order], np.concatenate(masks)[order], fold[order])
+
+
+def _halves(
+    patterns: Patterns, moving: Bool[np.ndarray, "samples joints"]
+) -> tuple[Int[np.ndarray, " samples"], Int[np.ndarray, " samples"]]:
+    """Return two divisions into halves: slow and fast motion, positions near the middle and far.
+
+    Speeds and distances are those of all joints together, in parts of each joint's RMS.
+    """
+    divided: list[np.ndarray] = []
+    for values in (np.asarray(patterns.qd), np.asarray(patterns.q)):
+        about = values - (np.mean(values, axis=0) if divided else 0.0)
+        size = np.sqrt(np.mean(about**2, axis=0))
+        squares = np.sum((about / np.where(size > 0.0, size, 1.0)) ** 2, axis=1)
+        some = np.any(moving, axis=1)
+        divided.append((squares > np.median(squares[some] if some.any() else squares)).astype(int))
+    return divided[0], divided[1]
 
 
 def _indices(network: CSLC, kind: str) -> dict[int, int]:
@@ -330,38 +491,6 @@ def _indices(network: CSLC, kind: str) -> dict[int, int]:
     return dict(zip(joints, network.layout.indices(kind).tolist(), strict=True))
 
 
-def _held_out(
-    network: CSLC, recording: Recording, settings: Settings
-) -> tuple[
-    Float[np.ndarray, "samples joints"],
-    Bool[np.ndarray, "samples joints"],
-    tuple[tuple[str, ...], ...],
-]:
-    """Errors of each stretch under a fit to the others, what is judged, and the joints' friction
-    where the fit was possible.
-
-    Fits are of the pairs that masks leave in; judged are all that move. Judged over the former
-    alone, a KUKA KR300's joint 5 got a quadratic term, 33 % better there, with which two other
-    motions are predicted 7 % worse.
-
-    Slopes of static friction, and the rigid torque that friction of the load follows to first
-    order, are those of all stretches: a few numbers of thousands of rows.
-    """
-    suited = settings.for_network(network)
-    patterns = suited.patterns(recording)
-    qd = np.asarray(patterns.qd)
-    # From the speed on that static friction is fitted from.
-    slowest = static_fractions(DEFAULT_THRESHOLD_FRACTION, [True] * qd.shape[1])
-    moving = friction_mask(qd, friction_thresholds(qd, slowest))
-    if network.load_terms:
-        load = fit_load(network, patterns, solver=suited.solver)
-        network, patterns = linearised(load.network, load.fit.k, patterns)
-    elif "static" in network.robot.friction_terms:
-        network = fit_slopes(network, patterns, solver=suited.solver).network
-    errors = suited.solver.held_out_errors(network, patterns, fold_numbers(patterns.samples))
-    return errors, moving, network.friction_per_joint
-
-
 def _best(trials: Sequence[FrictionTrial], chance: float) -> dict[int, FrictionTrial]:
     """Return each joint's trial with the smallest error, of those that are better beyond chance."""
 
@@ -370,6 +499,7 @@ def _best(trials: Sequence[FrictionTrial], chance: float) -> dict[int, FrictionT
 
     best: dict[int, FrictionTrial] = {}
     for trial in sorted(trials, key=cost, reverse=True):
-        if trial.possible and trial.relative.beyond_chance(chance):
+        worse = trial.elsewhere is not None and trial.elsewhere.change > 0.0
+        if trial.possible and not worse and trial.relative.beyond_chance(chance):
             best[trial.joint] = trial
     return best

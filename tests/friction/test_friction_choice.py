@@ -1,12 +1,15 @@
 """Friction terms chosen joint by joint on motion that was left out."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc.selection import FrictionChoice, choose_friction
+from jaxcslc.selection import FrictionChoice, FrictionTrial, choose_friction
+from jaxcslc.selection._friction import _best
+from jaxcslc.uncertainty import RelativeError
 from tests import arms
 from tests.conftest import run
 
@@ -18,16 +21,20 @@ def arm() -> jc.Manipulator:
     return jc.examples.planar_arm()
 
 
-def recording(network: jc.CSLC, noise: float = 0.02) -> jc.Recording:
-    """Motion at all speeds; a torque offset of joint 1, static friction of joint 2."""
+def recording(
+    network: jc.CSLC, laws: Sequence[Sequence[str]] = TRUE, noise: float = 0.02
+) -> jc.Recording:
+    """Motion at all speeds; by default a torque offset of joint 1, static friction of joint 2."""
     t = 0.01 * np.arange(1500)[:, None]
     rate, size = np.array([[2.0, 1.3], [3.1, 4.7]]), np.array([[0.9, 0.7], [0.3, 0.2]])
     q = np.sum([s * np.sin(r * t) for r, s in zip(rate, size, strict=True)], axis=0)
     qd = np.sum([s * r * np.cos(r * t) for r, s in zip(rate, size, strict=True)], axis=0)
     qdd = np.sum([-s * r**2 * np.sin(r * t) for r, s in zip(rate, size, strict=True)], axis=0)
-    true = network.with_joint_friction(TRUE).with_static_slopes([10.0, 6.0])
-    k = np.full(true.size, 0.4)
-    k[true.layout.term_slice("offset")], k[true.layout.term_slice("static")] = 0.5, 0.8
+    true = network.with_joint_friction(laws)
+    if "static" in true.robot.friction_terms:
+        true = true.with_static_slopes([10.0, 6.0])
+    values = {"ko1": 0.5, "ks2": 0.8}
+    k = np.array([values.get(name, 0.4) for name in true.names])
     rng = np.random.default_rng(0)
     torque = np.asarray(true.torque(k, q, qd, qdd)) + noise * rng.normal(size=q.shape)
     return jc.Recording(t[:, 0], np.asarray(q), torque)
@@ -172,3 +179,88 @@ class TestJointFriction:
     def test_another_number_of_joints(self) -> None:
         with pytest.raises(ValueError, match="2 joints' friction, got 3"):
             jc.derive(arm(), lengths="numeric").with_joint_friction([("dry",)] * 3)
+
+
+class TestMotionThatDiffers:
+    """Terms are judged on speeds, positions and recordings that were not fitted."""
+
+    def test_a_term_that_is_worse_there_is_not_used(self) -> None:
+        inside = RelativeError(-0.3, 0.02, 8)
+        trials = [
+            FrictionTrial(1, "root", inside, used=False, elsewhere=RelativeError(0.02, 0.01, 4)),
+            FrictionTrial(1, "static", inside, used=False, elsewhere=RelativeError(-0.2, 0.01, 4)),
+            FrictionTrial(2, "root", inside, used=False, elsewhere=RelativeError(0.02, 0.01, 4)),
+        ]
+        assert {joint: trial.kind for joint, trial in _best(trials, 0.01).items()} == {1: "static"}
+
+    def test_each_half_is_predicted_by_the_other(self, choice: FrictionChoice) -> None:
+        """Oracle: a constant that is fitted to slow motion is there in fast motion too."""
+        (offset,) = [trial for trial in choice.trials if trial.used and trial.kind == "offset"]
+        assert offset.elsewhere is not None
+        assert offset.elsewhere.parts == 4 and offset.elsewhere.change < np.log(0.5)
+        assert "% elsewhere)" in str(offset)
+
+    @pytest.mark.parametrize(("sign", "used"), [(1.0, True), (-1.0, False)])
+    def test_another_recording_must_agree(self, sign: float, used: bool) -> None:
+        """A constant that changes its sign from run to run is no property of the arm."""
+        network = jc.derive(arm(), lengths="numeric")
+        first, second = recording(network), recording(network)
+        other = (sign - 1.0) * np.array([0.5, 0.0])
+        second = jc.Recording(second.time, second.position, second.torque + other)
+        chosen = choose_friction(
+            network, first, jc.Settings(), candidates=("offset",), others=[second]
+        )
+        assert ("offset" in chosen.network.friction_per_joint[0]) == used
+
+
+class TestOffsets:
+    """A constant torque of each joint, as the command tries it by default."""
+
+    def test_where_there_is_one(self) -> None:
+        network = jc.derive(arm(), lengths="numeric")
+        swings = recording(network, (TRUE[0], ("viscous", "dry")))
+        report = jc.identify(
+            network, swings, settings=jc.Settings(), friction="offset", checks=False
+        )
+        first, second = report.network.friction_per_joint
+        assert "offset" in first and "offset" not in second
+        k = dict(zip(report.network.names, np.asarray(report.k).tolist(), strict=True))
+        assert abs(k["ko1"] - 0.5) < 0.05
+        assert report.friction is not None
+        (note,) = report.friction.sentences
+        assert note.startswith("friction terms added, held-out error with a term over that without")
+        assert "joint 1 offset -" in note and "joint 2" not in note
+
+    def test_where_there_is_none(self, rng: np.random.Generator) -> None:
+        """The fit is that without any trial."""
+        network = arms.pendulum("viscous", "dry")
+        exact = jc.examples.swing_recording(network, [0.5, 0.3, -0.1, 0.2, 0.05])
+        noisy = exact.torque + 0.02 * rng.normal(size=exact.torque.shape)
+        swings = jc.Recording(exact.time, exact.position, noisy)
+        fits = [
+            jc.identify(network, swings, friction=friction, checks=False)
+            for friction in ("offset", None)
+        ]
+        assert fits[0].network.names == fits[1].network.names
+        assert np.array_equal(fits[0].k, fits[1].k)
+        assert fits[0].friction is not None and fits[0].friction.sentences == ()
+
+    def test_the_command_tries_it_unless_terms_are_named(self, tmp_path: Path) -> None:
+        robot = tmp_path / "pendulum.toml"
+        robot.write_text(
+            'name = "pendulum"\ngravity = [0, -9.81, 0]\n[[joint]]\n', encoding="utf-8"
+        )
+        true = jc.derive(jc.load_robot(robot)).with_joint_friction([("viscous", "dry", "offset")])
+        t = 0.01 * np.arange(800)[:, None]
+        q, qd, qdd = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
+        torque = np.asarray(true.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.1, 0.4]), q, qd, qdd))
+        torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
+        table = np.concatenate([t, q, torque], axis=1)
+        header = "time,position_1,torque_1"
+        np.savetxt(tmp_path / "train.csv", table, delimiter=",", header=header, comments="")
+        names = [str(robot), str(tmp_path / "train.csv")]
+        found = run("identify", *names, "-o", str(tmp_path / "a"))
+        assert found.exit_code == 0 and "ko1" in found.output
+        named = ["--friction", "viscous,dry", "-o", str(tmp_path / "b")]
+        given = run("identify", *names, *named)
+        assert given.exit_code == 0 and "ko1" not in given.output

@@ -75,6 +75,7 @@ class FrictionTrialSection(AbstractSection):
             Column("friction", numeric=False),
             Column("change of held-out error [%]", digits=2),
             Column("standard error [%]", digits=2),
+            Column("elsewhere [%]", "on other speeds, positions and recordings", digits=2),
             Column("length", "of pre-sliding", digits=3),
             Column("unit", numeric=False),
             Column("result", numeric=False, tones={"used": "good"}),
@@ -84,7 +85,8 @@ class FrictionTrialSection(AbstractSection):
             "Friction terms tried",
             "Errors on held-out segments of the training recording, with a term relative to without"
             " it. Pre-sliding is tested over all samples, other terms over unmasked ones. A term is"
-            " used where it improves prediction by more than chance.",
+            " used where it improves prediction by more than chance, and does not make it worse on"
+            " motion that differs in speed, position or recording from what was fitted.",
             [Table(columns, rows, "Per joint, in the order of the trials", "friction-trials")],
         )
 
@@ -158,13 +160,14 @@ class FrictionSection(AbstractSection):
 def _row(trial: Mapping[str, Any], joints: tuple[str, ...]) -> tuple[str | float | None, ...]:
     joint, kind = joints[trial["joint"] - 1], trial["kind"]
     if not trial["possible"]:
-        return joint, kind, None, None, None, "", "dropped by the fit"
-    error = trial["change_error"]
+        return joint, kind, None, None, None, None, "", "dropped by the fit"
+    error, elsewhere = trial["change_error"], trial.get("change_elsewhere")
     return (
         joint,
         kind,
         100 * math.expm1(trial["change"]),
         None if error is None else 100 * error,
+        None if elsewhere is None else 100 * math.expm1(elsewhere),
         trial["length"],
         "" if trial["length"] is None else trial["length_unit"],
         "used" if trial["used"] else "",
