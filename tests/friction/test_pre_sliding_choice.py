@@ -153,7 +153,7 @@ def test_several_recordings_are_not_tried(network: jc.CSLC) -> None:
 
 def test_it_is_not_of_a_part_of_the_coefficients(network: jc.CSLC) -> None:
     k = np.zeros(network.size)
-    with pytest.raises(ValueError, match="friction=.auto. cannot be combined with previous"):
+    with pytest.raises(ValueError, match=r"friction='auto' cannot be combined with previous"):
         jc.identify(
             network,
             recording(network, yields=False),
