@@ -2,6 +2,9 @@
 
 import gzip
 import json
+import re
+import textwrap
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxcslc.recordings import RecordingError, load_recording
+from jaxcslc.recordings import ColumnMapping, RecordingError, load_recording
 from jaxcslc.servo import load_servo_recording, load_servo_recordings
 
 
@@ -90,6 +93,16 @@ class TestTables:
         path = write_table(tmp_path / "arm.csv", dict.fromkeys(names, TIME))
         with pytest.raises(RecordingError, match="no torque, but commanded positions: use --drive"):
             load_recording(path)
+
+
+def test_mappings_of_the_page() -> None:
+    """Those of docs/servo.md are as the reader takes them."""
+    page = (Path(__file__).parents[2] / "docs" / "servo.md").read_text("utf-8")
+    blocks = [textwrap.dedent(x) for x in re.findall(r"```toml\n(.*?)```", page, re.DOTALL)]
+    names, registers = (ColumnMapping.of(tomllib.loads(block)) for block in blocks)
+    assert names.file_joints is not None and names.file_joints[-1] == "Jaw"
+    assert registers.quantities["command"].zeros == (2048.0,)
+    assert registers.quantities["position"].factors == (1.0, -1.0, 1.0, 1.0, 1.0, 1.0)
 
 
 def write_sage(
