@@ -37,6 +37,7 @@ from jaxcslc._scratch import MARKER
 from jaxcslc._text_table import text_table
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
+from scripts.tools.fuzz.templates import write_servos
 
 
 ROOT = Path(__file__).parents[2]
@@ -147,6 +148,9 @@ PROGRAMS = {
         "payload", "arm.toml", "log.csv", "--previous", "results", "-o", "out/payload"
     ),
     "record": Program(["-c", RECORD], ("out",), False, _bytes_of, is_command=False),
+    "servo": _command(
+        *("identify", "servos.toml", "servos.csv", "--drive", "servo", "-o", "out/servo")
+    ),
     "study": Program(["-c", STUDY], ("out",), False, _rows_of, is_command=False),
 }
 
@@ -212,6 +216,7 @@ def _make_input(folder: Path) -> None:
     limits = "[joints]\nvelocity = 2.0\ntorque = 20.0\nposition = [[-1, 1], [-1, 1]]\n"
     (folder / "limits.toml").write_text(limits, encoding="utf-8")
     (folder / "out").mkdir()
+    write_servos(folder)
     _finish(Program(["-c", MAKE], (), True, _bytes_of), folder)
     _finish(_command(*_IDENTIFY[:-1], "results"), folder)
 

@@ -207,6 +207,16 @@ def _constants(draw: random.Random, templates: Path, folder: Path) -> Lines:
     ]
 
 
+def _servo(draw: random.Random, templates: Path, folder: Path) -> Lines:
+    """An arm of position servos."""
+    arm, log = templates / "servos.toml", templates / "servos.csv"
+    if draw.random() < 0.5:
+        arm = _mutated(draw, templates, folder, arm.name)
+    else:
+        log = _mutated(draw, templates, folder, log.name)
+    return [["identify", arm, log, "--drive", "servo", "-o", folder / "out", *_json(draw)]]
+
+
 def _names(draw: random.Random, templates: Path, folder: Path) -> Lines:
     """A hostile name wherever a name can stand, and all that goes on with it."""
     kinds: tuple[Callable[..., Lines], ...] = (
@@ -405,6 +415,7 @@ KINDS: dict[str, tuple[int, Callable[[random.Random, Path, Path], Lines]]] = {
     "project": (3, _project),
     "init": (2, _init),
     "constants": (1, _constants),
+    "servo": (2, _servo),
     "result": (8, _result),
     "limits": (3, _limits),
     "line": (9, _line),

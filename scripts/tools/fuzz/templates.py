@@ -182,6 +182,21 @@ columns = "table.toml"
 velocity = [2.0, 3.0]
 torque = 40.0
 """
+# An arm of position servos.
+SERVO_ARM = """name = "arm"
+gravity = [0, -9.81, 0]
+[[joint]]
+[joint.link]
+mass = 1.0
+centre_of_gravity = [0.1, 0, 0]
+inertia_tensor = [0.01, 0.02, 0.02]
+[[joint]]
+a = 0.3
+[joint.link]
+mass = 1.0
+centre_of_gravity = [0.1, 0, 0]
+inertia_tensor = [0.01, 0.02, 0.02]
+"""
 # The arm that recordings are of: small, and not the TOML file above, which is all keys.
 ARM = 'gravity = [0, -9.81, 0]\n[[joint]]\nname = "shoulder"\n[[joint]]\nname = "elbow"\na = 0.3\n'
 
@@ -202,6 +217,7 @@ def write_templates(folder: Path) -> None:
     recording = simulated(folder / "arm.toml")
     _write_tables(folder, recording)
     _write_bags(folder, recording)
+    write_servos(folder)
     names = ("identify", folder / "arm.toml", folder / "log.csv", "-o", folder / "result")
     settings = ("--settings", folder / "settings.json", "--no-check", "--no-systematic")
     done = invoke(*names, *settings)
@@ -225,6 +241,23 @@ def write_inputs(folder: Path) -> None:
     }
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
+
+
+def write_servos(folder: Path) -> None:
+    """Writes an arm of servos, and commands and positions of two springs under gravity."""
+    (folder / "servos.toml").write_text(SERVO_ARM, encoding="utf-8")
+    time = PERIOD * np.arange(SAMPLES)
+    command = np.sin(np.outer(time, [3.0, 5.0])) + 0.4 * np.sin(np.outer(time, [7.0, 2.0]))
+    position, velocity, rows = command[0], np.zeros(2), list[np.ndarray]()
+    for wanted in command:
+        rows.append(1e-3 * np.round(position / 1e-3))
+        pull = 200.0 * (wanted - position) - 25.0 * velocity - 3.0 * np.sin(position)
+        velocity = velocity + PERIOD * pull
+        position = position + PERIOD * velocity
+    table = {"time": time, **_numbered("command", command, 1)}
+    table |= _numbered("position", np.array(rows), 1)
+    columns, header = np.column_stack(list(table.values())), ",".join(table)
+    np.savetxt(folder / "servos.csv", columns, "%.6f", ",", header=header, comments="")
 
 
 def simulated(robot: Path) -> jc.Recording:
