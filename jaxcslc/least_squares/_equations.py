@@ -6,12 +6,14 @@ them. `WeightedEquations` are linear in changes of them.
 
 import dataclasses
 from collections.abc import Collection, Sequence
+from functools import reduce
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..network import AbstractLinearNetwork
 from ..recordings import (
+    UNIFORM_TO,
     Patterns,
     decimated_low_pass,
     parallel_filter,
@@ -23,6 +25,8 @@ from ._factors import JointFactors, Unknowns, joined_factors
 from ._rounding import rounding_of
 
 
+# Samples that a recording has at least.
+_FEWEST = 20
 # Periods of its cut-off after which the zero-phase filter has forgotten to ten digits: its slowest
 # pole, of a Butterworth filter of order four, decays by exp(-2 pi 0.38) in each.
 _MEMORY = 10.0
@@ -231,6 +235,7 @@ def equations_of(
 ) -> Equations:
     """Return one equation per pair that counts, or those of a parallel filter; on the host.
 
+    Recordings that follow each other at different rates are filtered one by one.
     A long recording is filtered in stretches, whose columns fit into memory: each with as much of
     its neighbours as the filter remembers to ten digits.
 
@@ -238,6 +243,13 @@ def equations_of(
     """
     samples = len(patterns.q)
     time, torque, mask = (np.asarray(x) for x in (patterns.time, patterns.torque, patterns.mask))
+    if cutoff is not None and len(starts := _starts(time)) > 1:
+        recordings: list[Equations] = []
+        for rows in map(slice, starts, [*starts[1:], samples]):
+            some = None if columns is None else tuple(of_joint[:, rows] for of_joint in columns)
+            recordings.append(equations_of(network, rows_of(patterns, rows), cutoff, some))
+        pairs = zip(recordings[1:], starts[1:], strict=True)
+        return reduce(lambda joined, pair: joined.followed_by(*pair), pairs, recordings[0])
     if cutoff is None or columns is not None or samples <= LONG:
         columns = columns_of(network, patterns) if columns is None else columns
         unknowns = unknowns_of(network, patterns, columns)
@@ -263,6 +275,18 @@ def equations_of(
         joined = part if joined is None else joined.followed_by(part, start)
     assert joined is not None
     return joined
+
+
+def _starts(time: Float[np.ndarray, " samples"]) -> list[int]:
+    """Return the first samples of recordings of different rates that follow each other.
+
+    0 alone where intervals vary otherwise: too often for recordings.
+    """
+    intervals = np.diff(time)
+    changes = np.flatnonzero(np.abs(np.diff(intervals)) > UNIFORM_TO * intervals[:-1])
+    starts = [0, *(changes + 1).tolist()]
+    lengths = np.diff([*starts, len(time)])
+    return starts if np.all(lengths >= _FEWEST) else [0]
 
 
 def unknowns_of(

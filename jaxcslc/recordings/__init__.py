@@ -64,6 +64,7 @@ from ._recording import (
     without_stale_rows as without_stale_rows,
 )
 from ._sampling import (
+    UNIFORM_TO as UNIFORM_TO,
     Sampling as Sampling,
     encoder_resolution as encoder_resolution,
     noise_level as noise_level,

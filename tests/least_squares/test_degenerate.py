@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.least_squares import regressor_of, residual_weights
+from jaxcslc.recordings import joined_patterns
 from jaxcslc.uncertainty import fit_recordings
 from tests import arms
 
@@ -174,3 +175,21 @@ def test_as_many_equations_as_coefficients_say_nothing_of_errors(rng: np.random.
     patterns = jax.tree.map(lambda x: x[: network.size], patterns_of(network, rng))
     fit = jc.LeastSquares(errors="independent").fit(network, patterns)
     assert int(fit.rank) == network.size and np.all(np.isinf(fit.standard_error))
+
+
+@pytest.mark.parametrize("every", [2, 3])
+def test_recordings_at_different_rates_are_filtered_one_by_one(
+    every: int, rng: np.random.Generator
+) -> None:
+    """Oracle: the equations of each, behind each other."""
+    network = arms.planar_arm("viscous", "dry")
+    first, second = patterns_of(network, rng), patterns_of(network, rng)
+    second = jax.tree.map(lambda x: x[::every], second)
+    solver = jc.LeastSquares(cutoff=8.0)
+    both = solver.equations(network, joined_patterns([first, second]))
+    alone = [solver.equations(network, patterns) for patterns in (first, second)]
+    for joint, rows in enumerate(both.rows):
+        assert_allclose(rows, np.concatenate([part.rows[joint] for part in alone]), rtol=1e-9)
+    jitter = dataclasses.replace(first, time=first.time + 1e-3 * rng.normal(size=SAMPLES))
+    with pytest.raises(ValueError, match="time is not uniform"):
+        solver.equations(network, jitter)
