@@ -60,10 +60,10 @@ MASS_ERROR = 0.2
 # factor of four.
 _VAGUE_GAIN = 0.35
 _COARSE_STEP = 2.0 * LONGEST_STEP
-# Iterations: of the first search, of the later one, and of the one for all joints together.
-_COARSE, _AGAIN, _TOGETHER = 20, 6, 10
-_FACTORS = (1.0, 0.3, 0.1, 0.03)  # of the step of Gauss and Newton, tried one after the other
-_LITTLE = 2e-4  # part of the cost; less of a gain ends the search
+# Iterations: of the first and second search for each joint alone, and of that for all together.
+_COARSE, _AGAIN, _TOGETHER = 20, 6, 25
+_DAMPINGS = (1e-3, 1e-1, 1.0, 10.0)  # of Levenberg and Marquardt, tried one after the other
+_LITTLE = 1e-3  # part of the cost; less of a gain ends the search
 _START_NOISE = 0.005  # rad, of residuals, before the first search
 _START_CORRELATION = 50.0  # samples that carry the information of one, likewise
 _SMOOTHING = 0.12  # s, window of the cubic polynomials that give accelerations of other joints
@@ -294,7 +294,7 @@ class _Search:
         self.vague_gain = [False] * self.robot.joint_count
         self.unknowns: list[np.ndarray] = []
         self.problems: list[JointProblem] = []
-        self.simulated: list[np.ndarray] = []
+        self.misfits: list[np.ndarray] = []
 
     @property
     def has_payload(self) -> bool:
@@ -468,16 +468,17 @@ class _Search:
         simulated = self._simulated(self.unknowns, self.masses)
         for _ in range(_TOGETHER):
             self._take_motions(simulated)
-            self._take_weights(self._misfits(simulated))
-            before = self._cost(self.unknowns, self.masses, simulated, mass_error)
+            misfits = self._misfits(simulated)
+            self._take_weights(misfits)
+            before = self._cost(self.unknowns, self.masses, misfits, mass_error)
             low = np.concatenate(
                 [problem.low - x for problem, x in zip(self.problems, self.unknowns, strict=True)]
             )
-            step = self.stack(simulated, mass_error).step(np.append(low, -np.inf))
-            for factor in _FACTORS:
-                unknowns, masses = self._moved(factor * step)
+            stack = self.stack(misfits, mass_error)
+            for damping in _DAMPINGS:
+                unknowns, masses = self._moved(stack.step(np.append(low, -np.inf), damping))
                 trial = self._simulated(unknowns, masses)
-                cost = self._cost(unknowns, masses, trial, mass_error)
+                cost = self._cost(unknowns, masses, self._misfits(trial), mass_error)
                 if cost < before:
                     break
             else:
@@ -486,14 +487,13 @@ class _Search:
             if cost > (1.0 - _LITTLE) * before:
                 break
         self._take_motions(simulated)
-        self._take_weights(self._misfits(simulated))
-        self.simulated = simulated
+        self.misfits = self._misfits(simulated)
+        self._take_weights(self.misfits)
 
-    def stack(self, simulated: Sequence[np.ndarray], mass_error: float) -> Stack:
+    def stack(self, misfits: Sequence[np.ndarray], mass_error: float) -> Stack:
         """Linearise the problems of all joints."""
         steps = OFFSET_STEP * np.eye(len(self.offsets))
         shifted = [self._with_offsets(self.offsets + step) for step in steps]
-        misfits = self._misfits(simulated)
         scale = self.masses, mass_error, self.is_absolute
         return Stack.of(self.problems, shifted, self.unknowns, misfits, *scale)
 
@@ -511,14 +511,12 @@ class _Search:
         self,
         unknowns: Sequence[np.ndarray],
         masses: float,
-        simulated: Sequence[np.ndarray],
+        misfits: Sequence[np.ndarray],
         mass_error: float,
     ) -> float:
         costs = [
             problem.weight * float(misfit @ misfit) + float(np.sum(problem.prior(x[None]) ** 2))
-            for problem, x, misfit in zip(
-                self.problems, unknowns, self._misfits(simulated), strict=True
-            )
+            for problem, x, misfit in zip(self.problems, unknowns, misfits, strict=True)
         ]
         if self.is_absolute and mass_error > 0.0:
             costs.append((math.log(masses) / mass_error) ** 2)
@@ -535,7 +533,7 @@ class _Search:
             [problem.rows(x[None]) for problem, x in zip(self.problems, self.unknowns, strict=True)]
         )
         self._take_file_limits(rows)
-        stack = self.stack(self.simulated, mass_error)
+        stack = self.stack(self.misfits, mass_error)
         parameters, covariance, refused = stack.parameters(
             self.problems, self.unknowns, rows, self.vague_gain, ratios_only
         )

@@ -143,14 +143,17 @@ class Stack:
         covariance = bread @ meat @ bread
         return cls(gradient, information, covariance, len(slices), has_scale)
 
-    def step(self, low: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, " unknowns"]:
-        """Return the step of Gauss and Newton.
+    def step(
+        self, low: Float[np.ndarray, " unknowns"], damping: float
+    ) -> Float[np.ndarray, " unknowns"]:
+        """Return the step of Levenberg and Marquardt.
 
         - `low`: step that takes each unknown to its lower bound.
         """
         free = (low < 0.0) | (self.gradient < 0.0)
         step = np.zeros_like(self.gradient)
-        step[free] = -np.linalg.solve(self.information[np.ix_(free, free)], self.gradient[free])
+        A = self.information[np.ix_(free, free)]
+        step[free] = -np.linalg.solve(A + damping * np.diag(np.diag(A)), self.gradient[free])
         return np.maximum(step, low)
 
     def parameters(
