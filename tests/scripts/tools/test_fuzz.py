@@ -15,7 +15,7 @@ from scripts.tools.fuzz.templates import ROBOTS, write_inputs
 
 
 # Kinds that neither fit nor compile, a few milliseconds a case.
-QUICK = ("robot", "system")
+QUICK = ("robot", "system", "formula")
 NUMBERS = range(150)
 
 
