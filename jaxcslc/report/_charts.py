@@ -346,7 +346,7 @@ class ArmChart(AbstractChart):
     >>> import numpy as np
     >>> chart = ArmChart(np.zeros((1, 2, 3)), (Ellipsoid("link 1", np.zeros(3), np.eye(3)),), "")
     >>> [trace["type"] for trace in chart.plotly_figure()["data"]]
-    ['scatter3d', 'surface']
+    ['scatter3d', 'surface', 'scatter3d']
     """
 
     lines: Float[np.ndarray, "lines 2 3"]
@@ -358,12 +358,13 @@ class ArmChart(AbstractChart):
         return 520
 
     def plotly_figure(self) -> dict[str, Any]:
-        legend = {"orientation": "h", "x": 0, "y": 0, "yanchor": "top"}
         scene: dict[str, Any] = {
             f"{name}axis": {"title": {"text": f"{name} [m]"}, "tickfont": _FONT | {"size": 10}}
             for name in "xyz"
         }
-        scene |= {"aspectmode": "data", "camera": {"eye": {"x": 1.7, "y": 1.7, "z": 1.1}}}
+        for axis in scene.values():
+            axis |= {"backgroundcolor": "#ffffff", "gridcolor": _GRID, "nticks": 5}
+        scene |= {"aspectmode": "data", "camera": {"eye": {"x": 1.2, "y": 1.2, "z": 0.5}}}
         # A gap after each line.
         path = np.pad(self.lines, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan).reshape(-1, 3)
         data: list[dict[str, Any]] = [
@@ -372,10 +373,10 @@ class ArmChart(AbstractChart):
                 "name": "joint to joint",
                 "mode": "lines+markers",
                 **{name: rounded(column) for name, column in zip("xyz", path.T, strict=True)},
-                "line": {"color": _ARM, "width": 5},
-                "marker": {"color": _ARM, "size": 3},
+                "line": {"color": _ARM, "width": 7},
+                "marker": {"color": _ARM, "size": 4},
                 "hoverinfo": "skip",
-                "showlegend": True,
+                "showlegend": False,
             }
         ]
         for i, body in enumerate(self.bodies):
@@ -387,12 +388,24 @@ class ArmChart(AbstractChart):
                     **{name: [rounded(row, 4) for row in values] for name, values in surface},
                     "colorscale": [[0, colour], [1, colour]],
                     "showscale": False,
-                    "opacity": 0.55,
-                    "showlegend": True,
+                    "opacity": 0.4,
                     "hoverinfo": "name",
                 }
             )
-        return {"data": data, "layout": self._layout(10, 40, 0, 0, legend=legend, scene=scene)}
+        if self.bodies:  # names at the bodies: there are more of them than colours
+            centres = np.array([body.centre for body in self.bodies])
+            data.append(
+                {
+                    "type": "scatter3d",
+                    "mode": "text",
+                    "text": [escape(body.name) for body in self.bodies],
+                    **{name: rounded(row, 4) for name, row in zip("xyz", centres.T, strict=True)},
+                    "textfont": _FONT | {"size": 12},
+                    "hoverinfo": "skip",
+                    "showlegend": False,
+                }
+            )
+        return {"data": data, "layout": self._layout(10, 10, 0, 0, scene=scene)}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -48,7 +48,7 @@ unit = "deg"
 floor = 0.0
 ```
 
-| entry | | as |
+| entry | meaning | as |
 |---|---|---|
 {rows}
 
@@ -84,7 +84,7 @@ def command_page() -> str:
 
 def _table(title: str, rows: list[tuple[str, Parameter]]) -> str:
     lines = [f"| `{_cell(left)}` | {_cell(described(parameter))} |" for left, parameter in rows]
-    return "\n".join([f"| {title} | |\n|---|---|", *lines, ""])
+    return "\n".join([f"| {title} | meaning |\n|---|---|", *lines, ""])
 
 
 def _written(parameter: Parameter) -> str:

@@ -72,7 +72,7 @@ class LawProperties(NamedTuple):
 
 
 _TORQUE, _BOTH_WAYS = ("N m", "N"), ("forwards", "backwards")
-_VISCOUS, _DRY = "viscous friction of joint {}", "dry friction of joint {}"
+_VISCOUS, _DRY = "viscous friction of joint {}", "Coulomb friction of joint {}"
 _LOADED = "friction of joint {} in proportion to its load"
 
 # Beside viscous friction, those with the root and the square of the speed bend the line, and static
@@ -104,7 +104,7 @@ _ROWS = (
     LawProperties(
         "static",
         ("ks",),
-        ("static friction of joint {} beyond dry",),
+        ("static friction of joint {} beyond Coulomb",),
         _TORQUE,
         lambda f, q, qd, slope: (f.sign(qd) * f.exp(-(f.absolute(qd) * slope)),),
         needs="slope",

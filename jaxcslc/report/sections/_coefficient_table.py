@@ -107,8 +107,11 @@ class CoefficientSection(AbstractSection):
             "Coefficients",
             "Low and high are the ends of the 95 % confidence interval, for"
             f" {fit.errors} errors with {float(fit.degrees_of_freedom):.0f} degrees of freedom."
-            " Well determined: the standard error is at most 10 % of the value. Systematic error:"
-            " more data from this motion would not help; another model or smoothing would. A poorly"
+            " The standard error is what noise causes, and falls with more data. The systematic"
+            " error is how far smoothing, torque timing or missing terms may shift the value; more"
+            " data of this motion do not reduce it. Well determined: the standard error is at most"
+            " 10 % of the value, the systematic error at most 5 %. Verdict 'systematic error': the"
+            " first holds, the second does not; the reason names the main cause. A poorly"
             " determined coefficient has little effect on the torque of this motion.",
             [
                 *([Messages(undetermined)] if undetermined else []),
@@ -183,11 +186,18 @@ class ExcitationSection(AbstractSection):
         systematic = getattr(report, "systematic", None)
         causes = "" if systematic is None else ". Systematic errors included: "
         causes += "" if systematic is None else ", ".join(systematic.parts)
+        errors = "std error: what noise causes"
+        errors += (
+            ""
+            if systematic is None
+            else ("; systematic: possible shift, which more data of this motion do not reduce")
+        )
         text = f"rank {int(fit.rank)} of {fitted}, condition number {float(fit.condition):.4g}"
         if "least_determined" in self.data:
             text += f"; least determined: {readable(self.data['least_determined'])}"
         yield [
             *([] if legend is None else [legend_text(legend)]),
+            errors,
             f"low, high: 95 % confidence interval, {fit.errors} errors with"
             f" {float(fit.degrees_of_freedom):.0f} degrees of freedom{causes}",
             *(f"not determined: {sentence}" for sentence in fit.unidentifiable),
