@@ -1,5 +1,6 @@
 """Entry point of the checks: `check` and its result, `DataCheck`."""
 
+import contextlib
 import dataclasses
 import html
 from collections.abc import Callable, Sequence
@@ -12,6 +13,7 @@ from .._text_table import text_table
 from ..manipulator import JointLimits
 from ..network import CSLC, derive
 from ..recordings import MINIMUM_SAMPLES, Recording, encoder_resolution, stale_rows
+from ._channel_findings import Channels, Saturated
 from ._evidence import Evidence
 from ._findings import SPOILING_KINDS, Finding, finding
 from ._motion_findings import agreement_findings, motion_findings, rate_findings
@@ -206,18 +208,37 @@ def _check_one(
             acceleration=None if acceleration is None else acceleration / factor**2,
         )
     findings += clock_findings(recording)
+    channels = Channels.of(recording, joints, network.joint_kinds)
+    findings += channels.findings
+    recording = channels.recording
     outliers = Outliers.of(recording)
-    findings += outliers.findings(recording, joints)
+    # The corners of a torque without its sign are none.
+    if not channels.kinds & {"unsigned torque", "jump"}:
+        findings += outliers.findings(recording, joints)
     source = network.robot.source
     fixable = source is not None and source.format != "toml"
     findings += sample_findings(recording, joints, fixable=fixable)
-    mended, valid = outliers.mended(recording), ~clipping(recording.torque)
+    mended = outliers.mended(recording)
+    saturated = _saturated(network, mended, channels)
+    findings += [
+        finding("clipping", one.text, joints[one.joint])
+        for one in saturated
+        if not any(
+            found.kind == "clipping" and found.joint == joints[one.joint] for found in findings
+        )
+    ]
+    valid = channels.valid & ~clipping(recording.torque)
+    for one in saturated:
+        valid[one.rows, one.joint] = False
     # Rows whose positions all repeat those of the row before: of a slower source, or stale.
     same = repeats_row_before(mended.position)
     fresh = ~(same if np.mean(same) > _SLOW_SOURCE else stale_rows(mended))
     if MINIMUM_SAMPLES < fresh.sum() < fresh.size:
         mended, valid = mended.rows(fresh), valid[fresh]
     evidence, excitation = None, ""
+    # Filters spread jumps over the rows beside them; and no torque says nothing.
+    if "jump" in channels.kinds or not valid.any():
+        return findings, RecordingSummary.of(network, recording, name, excitation), None
     try:
         evidence = Evidence.of(network, mended, valid)
     except ValueError as error:  # too short for its smoothing, or nothing moves
@@ -226,6 +247,19 @@ def _check_one(
         found, evidence, excitation = motion_findings(evidence)
         findings += found
     return findings, RecordingSummary.of(network, recording, name, excitation), evidence
+
+
+def _saturated(network: CSLC, recording: Recording, channels: Channels) -> list[Saturated]:
+    """Return the torques that pile up and by the motion should be beyond."""
+    valid = channels.valid.copy()
+    for one in channels.saturated:
+        valid[one.rows, one.joint] = False
+    if not channels.saturated or not valid.any():
+        return []
+    with contextlib.suppress(ValueError):
+        evidence = Evidence.of(network, recording, valid)
+        return [one for one in channels.saturated if one.beyond(evidence)]
+    return []
 
 
 _SLOW_SOURCE = 0.3  # part of rows that repeat positions from which their source is slower

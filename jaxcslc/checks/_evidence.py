@@ -241,7 +241,7 @@ class Evidence:
         self, patterns: Patterns, columns: HostColumns
     ) -> Float[np.ndarray, " coefficients"]:
         """Return the coefficients fitted to patterns, as those of `fit`."""
-        if patterns is self.patterns:
+        if patterns is self.patterns and columns is self._columns:
             return np.asarray(self.fit.k)
         return _SOLVER.coefficients(equations_of(self.network, patterns, None, columns))
 
@@ -249,6 +249,14 @@ class Evidence:
     def relative_errors(self) -> Float[np.ndarray, " joints"]:
         """`errors` of the patterns as they are."""
         return self.errors(self.patterns, self._columns)
+
+    @cached_property
+    def noise(self) -> Float[np.ndarray, " joints"]:
+        """White noise of the torques, low-passed, as part of each torque's root mean square."""
+        interval = float(np.median(np.diff(self.recording.time)))
+        passed = np.sqrt(min(2.0 * self.cutoff * interval, 1.0))
+        size = np.sqrt(np.mean(np.asarray(self.patterns.torque) ** 2, axis=0))
+        return noise_level(self.recording.torque) * passed / np.maximum(size, TINY)
 
     def errors(
         self,

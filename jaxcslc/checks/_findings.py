@@ -45,6 +45,8 @@ AGREEMENT_KINDS = ("payload", "friction", "disagreement")
 
 SPOILING_KINDS = (
     *("time unit", "angle unit", "torque unit", "sign", "swapped joints", "wrong robot"),
+    *("torque scale", "zero position", "position scale", "mounting", "gravity compensation"),
+    *("clock", "tool change", "contact", "unsigned torque", "wrapped angle", "stop"),
 )
 """Kinds of findings that hide all others: no model explains the torque."""
 
@@ -105,6 +107,22 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         "clipping": (
             "the drive or the recorder limits the torque there: the motion had another one",
             "record a slower motion; --loss bisquare disregards what does not fit",
+        ),
+        "wrapped angle": (
+            "the angle of {joint} is recorded modulo a turn",
+            "unwrap its column, as numpy.unwrap does; the check has done so",
+        ),
+        "jump": (
+            "rows were lost, and the times of the others were counted afterwards",
+            "record again, or --between takes a part without jumps",
+        ),
+        "stop": (
+            "{joint} ran against a stop, or another body",
+            "keep the motion within the range that the arm has; leave out the rest with --between",
+        ),
+        "unsigned torque": (
+            "the torque of {joint} is recorded without its sign",
+            "record it with its sign: no setting restores it",
         ),
         "outliers: position": (
             "faults of transmission or of the sensor",
@@ -169,6 +187,57 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
             "the recording is of another robot, tool or mounting than the file's, or the model"
             " lacks a term",
             "compare the robot's file, its base, tip and gravity with the arm",
+        ),
+        # The model.
+        "torque scale: of some joints": (
+            "torque constants or gear ratios of some joints are others than the recorder took:"
+            " {listed}",
+            "[torque] unit, constant and gear in the mapping of --columns",
+        ),
+        "torque scale": (
+            "the scale of the torques (torque constants, gear ratios), or the masses in the robot's"
+            " file",
+            "weigh a body that the arm carries with jaxcslc payload: its mass has the same factor",
+        ),
+        "torque limit": (
+            "torques in another unit or scale, or limits in the robot's file that are not the"
+            " arm's",
+            "compare the recorder's units, torque constants and gear ratios with the arm",
+        ),
+        "zero position": (
+            "the zero of {joint} is not that of the robot's file: its positions are off by"
+            " {offset}",
+            "home the joint, or subtract {offset} from its column",
+        ),
+        "position scale": (
+            "the gear ratio or the encoder ticks of {joint} are others than the recorder took",
+            "divide its positions by {factor}",
+        ),
+        "mounting": (
+            "the base is mounted in another way than in the robot's file",
+            "set gravity to {gravity} m/s² in the robot's base frame (gravity in a TOML file,"
+            " with_gravity in Python; in a URDF, turn the first fixed joint)",
+        ),
+        "gravity compensation": (
+            "the torques are those beyond gravity compensation: the controller subtracts a model's"
+            " gravity",
+            "record the motors' currents or torques themselves",
+        ),
+        "clock": (
+            "the times are not those of the motion: the recorder counts with another period",
+            "divide the times by {factor}, or --period with the true one",
+        ),
+        "drift": (
+            "friction changes as the gears warm up, or the zero of the torque sensor drifts",
+            "record after warming up, or identify parts of the recording with --between",
+        ),
+        "tool change": (
+            "the arm took up or put down a tool or a payload",
+            "--between {start:.4g},{end:.4g} takes the longer part alone",
+        ),
+        "contact": (
+            "something touched the arm, or a brake or a limit acted",
+            "--between leaves out {start} s to {end} s",
         ),
         # Other recordings.
         "payload": (

@@ -5,27 +5,27 @@ see `_evidence`; recordings are compared with the first by its coefficients.
 """
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from .._rank import numerical_rank
 from ..least_squares import HostColumns, LeastSquares, regressor_of, reidentify
 from ..network import CSLC
-from ..recordings import Patterns, Preparation, Recording, noise_level
+from ..recordings import Patterns, Preparation, Recording
+from ._causes import ALIKE, LEAST_GAIN, Cause, Change, removes
 from ._evidence import LARGEST_ERROR, SMALLEST_ERROR, TINY, WELL, Evidence, PriorFit
 from ._findings import Finding, finding
+from ._model_findings import file_findings, model_causes
 from ._sample_findings import OTHER_RATE, motionless
 from ._torque_lag import LEAST_LAG, TorqueLag, torque_lag_of
 
 
-# How much lower the mean logarithm of the joints' errors must be once a cause is mended; causes
-# whose gains differ by a third of that are told apart by chance.
-_LEAST_GAIN = 0.15
-_ALIKE = _LEAST_GAIN / 3.0
+# Errors of more times the noise, and of more than a part of the torque, have causes in the model.
+_BEYOND_NOISE, _UNEXPECTED = 2.0, 0.01
 # Errors of less than this part of the torque leave nothing to explain.
 _SMALL = 0.03
 # Errors of less than this part of the torque say less of a sign than friction's power does.
@@ -33,24 +33,17 @@ _LITTLE, _NO_ERROR = 0.1, 1e-9
 # Torques of this many times those of the file's masses are in another unit.
 _OTHER_UNIT = 3.0
 _THOUSAND = (300.0, 3000.0)  # times: torques in mN m or N mm
+_ALONE = 30.0  # times: a joint's torque is in another unit than those of all others
 # What the file's masses must explain of a joint's torque that is gravity's for the most part.
 _FEW, _MOST = 0.2, 0.4
 # Error beyond noise, as part of the torque, that a right model rarely leaves.
-_UNEXPLAINED = 0.4
+_UNEXPLAINED, _STILL_UNEXPLAINED = 0.4, 0.1
 # Held-out over training error, in logarithms, from which a recording has too little motion.
 _TAME = 0.35
 # Positions beyond limits by less than these margins are within [part of the range; rad or m], and
 # this part of the samples does not count.
 _MARGIN_OF_SPAN, _MARGIN, _OUTSIDE = 0.02, 0.05, 1e-3
 _ROUNDS = 3
-
-
-class _Cause(NamedTuple):
-    """A finding, the recording without what it names, and how much better that is explained."""
-
-    finding: Finding
-    recording: Recording
-    gain: float
 
 
 def motion_findings(evidence: Evidence) -> tuple[list[Finding], Evidence, str]:
@@ -67,28 +60,37 @@ def motion_findings(evidence: Evidence) -> tuple[list[Finding], Evidence, str]:
         if cause is None:
             break
         findings.append(cause.finding)
-        evidence = Evidence.of(evidence.network, cause.recording, evidence.valid)
-    wrong = _wrong_robot(evidence)
+        mended = cause.mended()
+        if mended is None:
+            return findings, evidence, _excitation(evidence)[1]
+        evidence = mended
+    wrong = _wrong_robot(evidence, len(findings))
     if wrong is not None:
         # What mends one joint of another robot is chance; a common factor of torques is not.
         findings = [*(found for found in findings if found.kind == "torque unit"), wrong]
+    if not findings:
+        findings += file_findings(evidence)
+    # Another clock and another gravity than those of the file's masses are another robot's.
     if not findings:
         findings += _beyond_limits(evidence)
     tame, excitation = _excitation(evidence)
     return findings + tame, evidence, excitation
 
 
-def _likeliest(evidence: Evidence) -> _Cause | None:
+def _likeliest(evidence: Evidence) -> Cause | None:
     score = _objective(evidence, evidence.patterns)
     prior = evidence.prior
-    causes: list[_Cause] = []
+    causes: list[Cause] = []
     if (
         np.max(evidence.relative_errors) > _SMALL
         or _driven_joints(evidence, evidence.patterns)
         or (prior is not None and _mismatched(evidence, prior).size)
     ):
         causes += _causes_in_columns(evidence, score)
-    causes = [cause for cause in causes if cause.gain > _LEAST_GAIN]
+    causes = [cause for cause in causes if cause.gain > LEAST_GAIN]
+    errors = evidence.relative_errors
+    if np.any(errors > np.maximum(_BEYOND_NOISE * evidence.noise, _UNEXPECTED)):
+        causes += model_causes(evidence)
     interval = float(np.median(np.diff(evidence.recording.time)))
     least = max(interval, LEAST_LAG)
     lag = torque_lag_of(evidence, least)
@@ -96,54 +98,12 @@ def _likeliest(evidence: Evidence) -> _Cause | None:
         causes.append(_late(evidence, lag, interval))
     best = max(causes, key=lambda cause: cause.gain, default=None)
     unit = None if prior is None else _torque_unit(evidence, prior, score)
-    if unit is not None and (best is None or unit.gain > best.gain - _ALIKE):
-        return unit
+    if unit is not None and (best is None or unit.gain > best.gain - ALIKE):
+        # That of one joint is known better by the other joints than by the file's masses.
+        kind, joint = unit.finding.kind, unit.finding.joint
+        same = (x for x in causes if (x.finding.kind, x.finding.joint) == (kind, joint) and joint)
+        return max(same, key=lambda cause: cause.gain, default=unit)
     return best
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Change:
-    """Columns of positions and torques in another order, and multiplied by factors.
-
-    - `motion_order`, `torque_order`: (n,) which column becomes each joint's; None for the same.
-    - `motion_factors`, `torque_factors`: (n,) of the columns in their new order.
-    """
-
-    motion_order: Int[np.ndarray, " joints"] | None = None
-    torque_order: Int[np.ndarray, " joints"] | None = None
-    motion_factors: Float[np.ndarray, " joints"] | float = 1.0
-    torque_factors: Float[np.ndarray, " joints"] | float = 1.0
-
-    def patterns(self, patterns: Patterns) -> Patterns:
-        """Return the patterns of the changed recording."""
-        q, qd, qdd = (self._motion(x) for x in (patterns.q, patterns.qd, patterns.qdd))
-        valid = np.asarray(patterns.backlash_mask)
-        return Patterns(
-            patterns.time,
-            q,
-            qd,
-            qdd,
-            self._torque(patterns.torque),
-            # Where both columns of a joint are measured.
-            _ordered(valid, self.motion_order) & _ordered(valid, self.torque_order),
-            _ordered(patterns.friction_mask, self.motion_order),
-        )
-
-    def recording(self, recording: Recording) -> Recording:
-        """Return the changed recording, without velocities and accelerations."""
-        position, torque = self._motion(recording.position), self._torque(recording.torque)
-        return Recording(recording.time, position, torque)
-
-    def _motion(self, values: Any) -> np.ndarray:
-        return _ordered(values, self.motion_order) * self.motion_factors
-
-    def _torque(self, values: Any) -> np.ndarray:
-        return _ordered(values, self.torque_order) * self.torque_factors
-
-
-def _ordered(values: Any, order: Int[np.ndarray, " joints"] | None) -> np.ndarray:
-    values = np.asarray(values)
-    return values if order is None else values[:, order]
 
 
 class _Hypothesis(NamedTuple):
@@ -224,7 +184,7 @@ def _toml(values: np.ndarray) -> str:
     return f"[{', '.join(f'{x:g}' if isinstance(x, float) else f'{x!r}' for x in items)}]"
 
 
-def _causes_in_columns(evidence: Evidence, score: float) -> list[_Cause]:
+def _causes_in_columns(evidence: Evidence, score: float) -> list[Cause]:
     """Return the likeliest hypotheses, with what they would mend."""
     network, patterns, errors = evidence.network, evidence.patterns, evidence.relative_errors
     names = network.output_names
@@ -234,7 +194,7 @@ def _causes_in_columns(evidence: Evidence, score: float) -> list[_Cause]:
     # The held-out error of the few that come into question.
     likely = set(np.argsort(quick, kind="stable")[:4].tolist())
     driven = set(_driven_joints(evidence, patterns))
-    causes: list[_Cause] = []
+    causes: list[Cause] = []
     for i, hypothesis in enumerate(hypotheses):
         against_friction = hypothesis.finding.kind == "sign" and driven & {*hypothesis.joints}
         if i not in likely and not against_friction:
@@ -242,6 +202,8 @@ def _causes_in_columns(evidence: Evidence, score: float) -> list[_Cause]:
         changed = hypothesis.change.patterns(patterns)
         gain = score - _objective(evidence, changed)
         mended = evidence.errors(changed)
+        if not against_friction and not removes(errors, mended, evidence.noise):
+            continue
         worst = int(np.argmax(errors / np.maximum(mended, _NO_ERROR)))
         text = (
             f"torque errors are {100 * errors[worst]:.3g} % of the torque of {names[worst]}, and"
@@ -251,8 +213,14 @@ def _causes_in_columns(evidence: Evidence, score: float) -> list[_Cause]:
             listed = ", ".join(names[joint] for joint in hypothesis.joints if joint in driven)
             text = f"friction of {listed} drives its motion instead of braking it"
         found = dataclasses.replace(hypothesis.finding, evidence=text)
-        causes.append(_Cause(found, hypothesis.change.recording(evidence.recording), gain))
+        causes.append(Cause(found, gain, _mended(evidence, hypothesis.change)))
     return causes
+
+
+def _mended(evidence: Evidence, change: Change) -> Callable[[], Evidence]:
+    return lambda: Evidence.of(
+        evidence.network, change.recording(evidence.recording), evidence.valid
+    )
 
 
 # Friction drives a joint if it feeds this part of its torque's power into the motion, and more than
@@ -295,7 +263,7 @@ def _driven_joints(
     return [j for j in suspects if power[j] < -_SIGNIFICANT * np.sqrt(variance[j])]
 
 
-def _late(evidence: Evidence, lag: TorqueLag, interval: float) -> _Cause:
+def _late(evidence: Evidence, lag: TorqueLag, interval: float) -> Cause:
     word = "late" if lag.lag > 0 else "early"
     low, high = sorted((abs(lag.low), abs(lag.high)))
     recording = evidence.recording
@@ -306,13 +274,31 @@ def _late(evidence: Evidence, lag: TorqueLag, interval: float) -> _Cause:
         f" {1e3 * low:.3g} to {1e3 * high:.3g} ms; {abs(lag.lag) / interval:.2g} samples)",
         lag=lag.lag,
     )
-    return _Cause(found, Recording(recording.time, recording.position, torque), lag.gain)
+    late = Recording(recording.time, recording.position, torque)
+    return Cause(found, lag.gain, lambda: Evidence.of(evidence.network, late, evidence.valid))
 
 
-def _torque_unit(evidence: Evidence, prior: PriorFit, score: float) -> _Cause | None:
+def _torque_unit(evidence: Evidence, prior: PriorFit, score: float) -> Cause | None:
     """Return torques that follow those of the file's masses, many times too large or small."""
     well = prior.explained > WELL
     common = abs(prior.common_factor)
+    # One joint in another unit than all others: friction and motors are no such factor.
+    ratio = np.abs(prior.factor) / common if well.sum() > 2 else np.ones(len(well))
+    alone = np.flatnonzero(well & ((ratio > _ALONE) | (ratio < 1.0 / _ALONE)))
+    if alone.size == 1 and not common < 1 / _OTHER_UNIT:
+        joint, factors = int(alone[0]), np.ones(len(well))
+        factors[joint] = np.abs(prior.factor[joint])
+        change = Change(torque_factors=1.0 / factors)
+        changed = change.patterns(evidence.patterns)
+        name = evidence.network.output_names[joint]
+        listed = f"{name} {factors[joint]:.3g}"
+        found = finding(
+            "torque scale: of some joints",
+            f"torques follow those of the masses in the robot's file, but times {listed}",
+            name,
+            listed=listed,
+        )
+        return Cause(found, score - _objective(evidence, changed), _mended(evidence, change))
     if well.sum() < min(2, len(well)) or 1 / _OTHER_UNIT < common < _OTHER_UNIT:
         return None
     change = Change(torque_factors=1.0 / prior.factors)
@@ -326,7 +312,7 @@ def _torque_unit(evidence: Evidence, prior: PriorFit, score: float) -> _Cause | 
         f"torques follow those of the masses in the robot's file, but times {listed}",
         "" if well.all() else ", ".join(names),
     )
-    return _Cause(found, change.recording(evidence.recording), gain)
+    return Cause(found, gain, _mended(evidence, change))
 
 
 def _mismatched(evidence: Evidence, prior: PriorFit) -> np.ndarray:
@@ -343,21 +329,24 @@ def _mismatched(evidence: Evidence, prior: PriorFit) -> np.ndarray:
     )
 
 
-def _wrong_robot(evidence: Evidence) -> Finding | None:
-    names = np.array(evidence.network.output_names)
-    recording, prior = evidence.recording, evidence.prior
-    # Errors as part of the torque, less what white noise of the torque explains.
-    interval = float(np.median(np.diff(recording.time)))
-    passed = np.sqrt(min(2.0 * evidence.cutoff * interval, 1.0))
-    size = np.sqrt(np.mean(np.asarray(evidence.patterns.torque) ** 2, axis=0))
-    noise = noise_level(recording.torque) * passed / np.maximum(size, TINY)
+def _wrong_robot(evidence: Evidence, mended: int) -> Finding | None:
+    """Return what no coefficients explain, or not the file's masses if nothing was mended.
+
+    - `mended`: how many causes were: two or more that leave errors are chance.
+    """
+    names, prior = np.array(evidence.network.output_names), evidence.prior
+    # Errors as part of the torque, less what its white noise explains.
+    noise = evidence.noise
     errors = np.sqrt(np.maximum(evidence.relative_errors**2 - noise**2, 0.0))
     texts: list[str] = []
-    bad, off = np.flatnonzero(errors > _UNEXPLAINED), np.zeros(0, int)
+    bad, off = (
+        np.flatnonzero(errors > (_UNEXPLAINED if mended < 2 else _STILL_UNEXPLAINED)),
+        np.zeros(0, int),
+    )
     if bad.size:
         listed = ", ".join(f"{names[j]} {100 * errors[j]:.0f} %" for j in bad)
         texts.append(f"no coefficients explain the torque; beyond noise they leave {listed} of it")
-    if prior is not None and (off := _mismatched(evidence, prior)).size:
+    if not mended and prior is not None and (off := _mismatched(evidence, prior)).size:
         listed = ", ".join(f"{names[j]} {100 * max(prior.explained[j], 0):.0f} %" for j in off)
         texts.append(f"the masses of the robot's file explain little of the torque: {listed}")
     if not texts:

@@ -143,10 +143,10 @@ def _all_signs(case: Case) -> Spoilt:
 
 
 def _unsigned(case: Case) -> Spoilt:
-    count = case.of_size(1, 3, case.joints)
-    joints = np.sort(case.rng.permutation(case.joints)[:count])
-    found = Spoilt((_torque(case, np.abs, joints),), ("unsigned torque",), tuple(joints.tolist()))
-    return found if count < case.joints else dataclasses.replace(found, joints=())
+    negative = np.mean(case.recording.torque < 0.0, axis=0)
+    both = np.flatnonzero((negative > 0.1) & (negative < 0.9))
+    joints = np.sort(case.rng.permutation(both)[: case.of_size(1, 2, both.size)])
+    return Spoilt((_torque(case, np.abs, joints),), ("unsigned torque",), (int(joints[0]),))
 
 
 def _held(case: Case) -> Spoilt:

@@ -1,0 +1,248 @@
+"""Findings about single channels: angles that wrap, jumps, stops, unsigned and saturated torques.
+
+Each is mended, or the samples that it spoils are left out, before motion and torque are compared.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import scipy
+from jaxtyping import Bool, Float
+
+from ..recordings import Recording, encoder_resolution, noise_level, stale_rows
+from ._evidence import TINY, Evidence
+from ._findings import Finding, finding
+
+
+@dataclasses.dataclass(frozen=True)
+class Channels:
+    """Findings about single channels, and the recording without what they name.
+
+    - `findings`: what looks wrong.
+    - `recording`: with angles unwrapped.
+    - `valid`: False for torques that are no measurements of the joint's.
+    - `saturated`: torques that pile up, which may be peaks.
+    """
+
+    findings: tuple[Finding, ...]
+    recording: Recording
+    valid: Bool[np.ndarray, "samples joints"]
+    saturated: "tuple[Saturated, ...]" = ()
+
+    @classmethod
+    def of(cls, recording: Recording, names: Sequence[str], kinds: str) -> "Channels":
+        """Look at each channel of a recording.
+
+        - `kinds`: of the joints, `R` or `P` each.
+        """
+        findings: list[Finding] = []
+        valid = np.ones(recording.position.shape, bool)
+        if recording.samples < _FEWEST:
+            return cls((), recording, valid)
+        position = recording.position
+        revolute = np.array([kind == "R" for kind in kinds])
+        wraps = np.abs(np.abs(np.diff(position, axis=0)) - 2.0 * np.pi) < _NEAR_TURN
+        wrapped = revolute & wraps.any(axis=0)
+        if wrapped.any():
+            position = np.where(wrapped, np.unwrap(position, axis=0), position)
+            recording = dataclasses.replace(recording, position=position)
+            findings += [
+                finding(
+                    "wrapped angle",
+                    f"positions jump by a turn {int(wraps[:, joint].sum())} times",
+                    names[joint],
+                    joint=names[joint],
+                )
+                for joint in np.flatnonzero(wrapped).tolist()
+            ]
+        jumps = _jumps(recording)
+        if jumps.size:
+            moments = ", ".join(f"{recording.time[row]:.4g} s" for row in jumps[:3])
+            findings.append(
+                finding("jump", f"{jumps.size} times all joints jump between two rows: {moments}")
+            )
+            for row in jumps.tolist():
+                valid[max(row - _BESIDE, 0) : row + _BESIDE] = False
+        for row, found in (("stop", _stops), ("unsigned torque", _unsigned)):
+            for joint, text, spoilt in found(recording):
+                findings.append(finding(row, text, names[joint], joint=names[joint]))
+                valid[spoilt, joint] = False
+        return cls(tuple(findings), recording, valid, tuple(_saturated(recording, valid)))
+
+    @property
+    def kinds(self) -> set[str]:
+        """Kinds of the findings."""
+        return {found.kind for found in self.findings}
+
+
+@dataclasses.dataclass(frozen=True)
+class Saturated:
+    """Torques of a joint that pile up at one end of their range.
+
+    - `joint`: from 0; `sign`: of the end, 1 or -1.
+    - `width`: of the noise about it [N m or N].
+    - `end`: where the noise begins [N m or N].
+    - `rows`: the samples.
+    - `text`: evidence.
+    """
+
+    joint: int
+    sign: float
+    width: float
+    end: float
+    rows: Bool[np.ndarray, " samples"]
+    text: str
+
+    def beyond(self, evidence: Evidence) -> bool:
+        """Return whether the motion takes more torque there, by a fit without these samples."""
+        patterns = evidence.patterns
+        time = evidence.recording.time
+        inside = np.interp(np.asarray(patterns.time), time, self.rows_of(evidence)) > 0.5
+        if not inside.any():
+            return False
+        # By the joint's own equations: other joints may have faults of their own.
+        own = evidence.columns(patterns)[self.joint].T
+        own = np.column_stack([own, np.ones(len(own))])
+        torque, mask = (np.asarray(x)[:, self.joint] for x in (patterns.torque, patterns.mask))
+        fitted = np.linalg.lstsq(own[mask], torque[mask], rcond=_RANK)[0]
+        error = own @ fitted - torque
+        usual = np.sqrt(np.mean(error[mask] ** 2))
+        more = float(np.mean(self.sign * error[inside]))
+        return more > max(_MORE * self.width, float(usual))
+
+    def rows_of(self, evidence: Evidence) -> Float[np.ndarray, " samples"]:
+        """Return which samples of the evidence's recording are piled up, as 1."""
+        torque = self.sign * evidence.recording.torque[:, self.joint]
+        return (torque >= self.sign * self.end).astype(float)
+
+
+_FEWEST = 200  # samples, below which nothing is said
+_NEAR_TURN = 1.0  # rad that a joint moves at most within a sample in which its angle wraps
+# A jump is so many times the steps around it at this part of the joints that move, and two or more.
+_JUMP, _AROUND, _JUMPING = 6.0, 8, 0.5
+_BESIDE = 60  # rows beside a jump that filters spread it over
+
+
+def _jumps(recording: Recording) -> np.ndarray:
+    """Return rows before which positions of most joints jump, in motion that goes on evenly."""
+    time, position = recording.time, recording.position
+    interval = np.diff(time)
+    step = np.abs(np.diff(position, axis=0))
+    around = scipy.ndimage.maximum_filter1d(
+        np.where(_alone(step), 0.0, step), 2 * _AROUND + 1, axis=0
+    )
+    least = 3.0 * np.maximum(encoder_resolution(position), 12.0 * noise_level(position))
+    moving = np.quantile(step, 0.9, axis=0) > 0.0
+    jumping = (step > _JUMP * around) & (step > least) & moving
+    even = interval < 1.5 * np.median(interval)
+    enough = jumping.sum(axis=1) >= max(2.0, _JUMPING * moving.sum())
+    return np.flatnonzero(enough & even) + 1
+
+
+def _alone(step: Float[np.ndarray, "steps joints"]) -> Bool[np.ndarray, "steps joints"]:
+    """Mark steps that are larger than all others nearby."""
+    return step >= scipy.ndimage.maximum_filter1d(step, 2 * _AROUND + 1, axis=0)
+
+
+# A stop ends motion, measured over so many seconds, by so many times the usual accelerations,
+# keeps the joint at the end of its range for a time [s], and does so this often. Not if many rows
+# repeat the row before.
+_SUDDEN, _DECELERATION, _KEPT, _STOPS, _REPEATED = 0.03, 5.0, 0.1, 2, 0.005
+
+Found = Iterator[tuple[int, str, Bool[np.ndarray, " samples"]]]
+
+
+def _stops(recording: Recording) -> Found:
+    """Yield joints that are suddenly stopped, again and again, at one end of their range."""
+    interval = float(np.median(np.diff(recording.time)))
+    reach, kept = max(2, round(_SUDDEN / interval)), round(_KEPT / interval)
+    if np.mean(stale_rows(recording)) > _REPEATED:
+        return
+    tolerance = np.maximum(
+        2.1 * encoder_resolution(recording.position), 6.0 * noise_level(recording.position)
+    )
+    for joint, (column, near) in enumerate(zip(recording.position.T, tolerance, strict=True)):
+        extent = float(np.ptp(column))
+        if extent < 100.0 * near or extent <= TINY:
+            continue
+        bend = column[2 * reach :] - 2.0 * column[reach:-reach] + column[: -2 * reach]
+        usual = float(np.quantile(np.abs(bend), 0.98)) / (reach * interval) ** 2
+        for end, word in ((float(column.max()), "highest"), (float(column.min()), "lowest")):
+            at_end = np.abs(column - end) <= near
+            starts, stops = _runs(at_end)
+            held = (stops - starts >= kept) & (starts > reach + 1)
+            before = column[np.maximum(starts - 1, 0)] - column[np.maximum(starts - 1 - reach, 0)]
+            # Stopped within the tolerance.
+            fast = (before / (reach * interval)) ** 2 / (2.0 * near) > _DECELERATION * usual
+            events = int(np.sum(held & fast))
+            if events >= _STOPS or (events == 1 and np.sum(held) == 1 and at_end.mean() > _LONG):
+                text = (
+                    f"its motion ends suddenly at its {word} position, {end:.4g} rad or m,"
+                    f" {events} times, for {100 * at_end.mean():.2g} % of the samples"
+                )
+                yield joint, text, scipy.ndimage.binary_dilation(at_end, iterations=kept)
+                break
+
+
+_LONG = 0.03  # part of the samples at a stop that is reached once
+
+
+def _runs(marked: Bool[np.ndarray, " samples"]) -> tuple[np.ndarray, np.ndarray]:
+    """Return where runs of marked samples begin, and where they have ended."""
+    edges = np.diff(np.concatenate([[0], marked.astype(int), [0]]))
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+
+
+# A torque that is never negative is unsigned if it turns back at zero so often: within this part of
+# its greatest value, and by this part on both sides.
+_TURNS, _NEAR_ZERO, _AWAY = 3, 0.02, 0.05
+
+
+def _unsigned(recording: Recording) -> Found:
+    """Yield joints whose torque is never negative, and turns back at zero."""
+    for joint, column in enumerate(recording.torque.T):
+        top = float(np.max(column))
+        if np.min(column) < 0.0 or top <= 0.0:
+            continue
+        starts, stops = _runs(column > _AWAY * top)
+        gaps = zip(stops[:-1], starts[1:], strict=True)
+        turns = sum(np.min(column[i:j]) < _NEAR_ZERO * top for i, j in gaps)
+        if turns >= _TURNS:
+            text = f"its torque is never negative, and comes back from zero {turns} times"
+            yield joint, text, np.ones(column.shape, bool)
+
+
+# Saturated torques lie within so many standard deviations of the noise; as a part of all samples;
+# and are so many times as many as those in the two bands of the same width below.
+_BAND, _SATURATED, _PILED = 6.0, 0.01, 3.0
+_RANK = 1e-6  # of singular values that count
+_MORE = 0.5  # widths of the noise by which the motion takes more torque than saturated ones
+
+
+def _saturated(recording: Recording, valid: np.ndarray) -> Iterator[Saturated]:
+    """Yield joints in motion whose torque piles up at one value, noise apart."""
+    moved = np.abs(np.gradient(recording.position, axis=0))
+    for joint, column in enumerate(recording.torque.T):
+        moving = (moved[:, joint] > 0.1 * np.quantile(moved[:, joint], 0.99)) & valid[:, joint]
+        noise = float(noise_level(column[:, None])[0])
+        width, extent = _BAND * noise, float(np.ptp(column))
+        if moving.sum() < _FEWEST or not TINY < width < 0.1 * extent:
+            continue
+        for sign, word in ((1.0, "highest"), (-1.0, "lowest")):
+            values = sign * column[moving]
+            # The highest values but for those that noise alone brings there.
+            top = float(np.quantile(values, 1.0 - 0.2 * _SATURATED)) + 0.2 * width
+            counts = [
+                int(np.sum((values <= top - i * width) & (values > top - (i + 1) * width)))
+                for i in range(4)
+            ]
+            piled = counts[0] > _PILED * max(counts[1], counts[2], counts[3], 1)
+            if piled and counts[0] > _SATURATED * values.size:
+                spoilt = sign * column > top - width
+                text = (
+                    f"{100 * counts[0] / values.size:.2g} % of its torques in motion lie within"
+                    f" {width:.2g} of the {word}, {sign * (top - 0.5 * width):.4g}"
+                )
+                yield Saturated(joint, sign, width, sign * (top - width), spoilt, text)
+                break

@@ -1,0 +1,539 @@
+"""Causes that change the torque's model: scales, zero positions, mounting, clock, and changes.
+
+Each cause adds columns to the regressor (`_first_order`). The best few are refined, as the columns
+hold for small faults only, and judged by the held-out errors of the recording as it would then
+have been. The masses of the robot's file tell apart what the recording alone does not.
+"""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..least_squares import HostColumns, columns_of, torque_by, torque_of
+from ..network import derive
+from ..recordings import Patterns, Recording
+from ._causes import LEAST_GAIN, Cause, Change, removes
+from ._evidence import TINY, Evidence
+from ._findings import Finding, finding
+from ._first_order import BLOCKS, Columns, FirstOrder, Score, gravity_columns
+
+
+# Smallest faults that are named: parts, and angles [rad]. Sensors and files are right within them.
+_SCALE, _ZERO, _TILT, _CLOCK, _STRETCH = 0.05, 0.02, 0.03, 0.02, 0.03
+# As many causes are refined.
+_REFINED = 5
+# A cause also counts if it takes away this part of the squares of one joint's error, and that is
+# a part of the torque that matters.
+_OF_ONE_JOINT, _MATTERS = 0.75, 0.01
+# A fault of one joint is preferred to one of all joints that explains little more.
+_PREFERRED = 0.8
+_ROUNDS, _SMALL_STEP, _LARGEST_STEP = 10, 2e-3, 4.0
+# Shares of gravity in the torque, over that of motion, that are tried.
+_SHARES = (-1.5, -1.0, -0.7, 0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0, 5.0)
+# Shares of gravity below which it was taken out, even without masses in the file; a share that is
+# negative has gravity the other way round.
+_NO_SHARE = 0.07
+# The file's gravity is there from this factor on.
+_PRESENT = 0.6
+# Blocks in which something touches the arm: errors over the median of all, and how many at most.
+_TOUCHED, _MOST_TOUCHED, _TRIMS = 4.0, 0.4, 4
+
+
+def model_causes(evidence: Evidence) -> list[Cause]:
+    """Return causes in the model whose remedies take away most of the unexplained torque."""
+    first = FirstOrder.of(evidence)
+    before = first.score()
+    joints = range(evidence.network.joint_count)
+    options: list[tuple[str, int, Columns]] = [
+        *(("scale of torque", joint, first.gains(joint)) for joint in joints),
+        *(("zero", joint, first.group("zero", joint)) for joint in joints),
+        *(("scale of position", joint, first.group("scale", joint)) for joint in joints),
+        ("scales of torques", 0, first.gains(*joints)),
+        ("share of gravity", 0, first.group("motion")),
+        ("drift", 0, first.growing_friction()),
+        *(("tool", block, first.payload_from(block)) for block in range(2, BLOCKS - 1)),
+    ]
+    if "gravity" in first.groups:
+        options.append(("mounting", 0, first.group("gravity")))
+    whole = first.quick()
+    gains = [whole - first.quick(columns) for _, _, columns in options]
+    order = np.argsort(gains)[::-1]
+    causes: list[Cause] = []
+    tried = [options[i] for i in order if gains[i] > 0.5 * LEAST_GAIN][:_REFINED]
+    factor = _file_factor(evidence)
+    if (
+        np.isfinite(factor)
+        and factor < _PRESENT
+        and all(kind != "share of gravity" for kind, *_ in tried)
+    ):
+        tried.append(next(option for option in options if option[0] == "share of gravity"))
+    for kind, which, columns in tried:
+        causes += _REFINE[kind](_Trial(evidence, first, before, kind, which, columns, factor))
+    causes += _contact(evidence, first, before)
+    return causes
+
+
+@dataclasses.dataclass(frozen=True)
+class _Trial:
+    """A cause that is tried: its columns, and what they are compared with.
+
+    - `before`: the errors without a cause.
+    - `which`: the joint, or the block of time, from 0.
+    - `factor`: of the file's gravity in the recording; NaN without masses.
+    """
+
+    evidence: Evidence
+    first: FirstOrder
+    before: Score
+    kind: str
+    which: int
+    columns: Columns
+    factor: float
+
+    @property
+    def name(self) -> str:
+        """Name of the joint."""
+        return self.evidence.network.output_names[self.which]
+
+    def cause(
+        self,
+        row: str,
+        joint: str,
+        after: Score,
+        text: str,
+        mended: Callable[[], Evidence | None],
+        /,
+        **values: Any,
+    ) -> Iterator[Cause]:
+        """Yield the cause if its remedy takes away the evidence."""
+        before, noise = self.before, self.evidence.noise
+        gain = before.mean - after.mean
+        halved = after.errors**2 < (1.0 - _OF_ONE_JOINT) * before.errors**2
+        if gain < LEAST_GAIN and not np.any(halved & (before.errors > _MATTERS)):
+            return
+        if not removes(before.errors, after.errors, noise):
+            return
+        names = self.evidence.network.output_names
+        worst = int(np.argmax(before.errors / np.maximum(after.errors, TINY)))
+        errors = (
+            f"torque errors are {100 * before.errors[worst]:.3g} % of the torque of"
+            f" {names[worst]}, and {100 * after.errors[worst]:.3g} % without it"
+        )
+        yield Cause(finding(row, f"{text}; {errors}", joint, **values), gain, mended)
+
+    def rescored(self, patterns: Patterns) -> Score:
+        """Return the errors of changed patterns."""
+        return FirstOrder.of(self.evidence, patterns, only=("", 0)).score()
+
+    def changed(self, change: Change) -> Callable[[], Evidence]:
+        """Return a function that returns the evidence of the changed recording."""
+        evidence = self.evidence
+        recording = change.recording(evidence.recording)
+        return lambda: Evidence.of(evidence.network, recording, evidence.valid)
+
+
+def _torque_scale(trial: _Trial) -> Iterator[Cause]:
+    """Yield the scale of one joint's torque, or of those of all, relative to the others."""
+    evidence, count = trial.evidence, trial.evidence.network.joint_count
+    joints = range(count) if trial.kind == "scales of torques" else [trial.which]
+    factors = np.ones(count)
+
+    for _ in range(_ROUNDS):
+        first = trial.first.scaled(1.0 / factors)
+        steps = first.sizes(first.gains(*joints))
+        factors[[*joints]] *= np.clip(1.0 + steps, 1.0 / _LARGEST_STEP, _LARGEST_STEP)
+        if np.max(np.abs(steps)) < _SMALL_STEP:
+            break
+    if len(joints) > 1:
+        factors /= np.median(factors)
+    off = np.flatnonzero(np.abs(factors - 1.0) > _SCALE)
+    if not off.size:
+        return
+    names = [evidence.network.output_names[joint] for joint in off]
+    listed = ", ".join(f"{name} {factors[j]:.3g}" for name, j in zip(names, off, strict=True))
+    yield from trial.cause(
+        "torque scale: of some joints",
+        ", ".join(names),
+        trial.first.scaled(1.0 / factors).score(),
+        f"torques are too large for the motion of the other joints by factors of {listed}"
+        if len(names) > 1
+        else f"torque is {factors[off[0]]:.3g} times what goes with the torques of the others",
+        trial.changed(Change(torque_factors=1.0 / factors)),
+        listed=listed,
+    )
+
+
+def _zero_position(trial: _Trial) -> Iterator[Cause]:
+    offset, steps = np.zeros(trial.evidence.network.joint_count), 1.0
+    for _ in range(_ROUNDS):
+        patterns = Change(motion_offsets=offset).patterns(trial.evidence.patterns)
+        first = FirstOrder.of(trial.evidence, patterns, only=("zero", trial.which))
+        steps = float(first.sizes(first.group("zero"))[0])
+        offset[trial.which] += np.clip(steps, -0.5, 0.5)
+        if abs(steps) < _SMALL_STEP:
+            break
+    size = float(-offset[trial.which])
+    if not _ZERO < abs(size) < np.pi:
+        return
+    change = Change(motion_offsets=offset)
+    revolute = trial.evidence.network.joint_kinds[trial.which] == "R"
+    shown = f"{np.degrees(size):.3g}°" if revolute else f"{size:.3g} m"
+    yield from trial.cause(
+        "zero position",
+        trial.name,
+        trial.rescored(change.patterns(trial.evidence.patterns)),
+        f"positions fit the torque best less {shown}",
+        trial.changed(change),
+        joint=trial.name,
+        offset=shown,
+    )
+
+
+def _position_scale(trial: _Trial) -> Iterator[Cause]:
+    factors = np.ones(trial.evidence.network.joint_count)
+    for _ in range(_ROUNDS):
+        patterns = Change(motion_factors=factors).patterns(trial.evidence.patterns)
+        first = FirstOrder.of(trial.evidence, patterns, only=("scale", trial.which))
+        step = float(first.sizes(first.group("scale"))[0])
+        factors[trial.which] *= np.clip(1.0 + step, 0.5, 2.0)
+        if abs(step) < _SMALL_STEP:
+            break
+    factor = float(1.0 / factors[trial.which])
+    if abs(factor - 1.0) < _STRETCH:
+        return
+    change = Change(motion_factors=factors)
+    yield from trial.cause(
+        "position scale",
+        trial.name,
+        trial.rescored(change.patterns(trial.evidence.patterns)),
+        f"positions fit the torque best divided by {factor:.3g}",
+        trial.changed(change),
+        joint=trial.name,
+        factor=f"{factor:.3g}",
+    )
+
+
+def _gravity_share(trial: _Trial) -> Iterator[Cause]:
+    """Yield what changes gravity's torque relative to that of motion: a clock, or compensation.
+
+    Torque of motion is proportional to the square of the time's unit, gravity's is not.
+    """
+    evidence, network = trial.evidence, trial.evidence.network
+    patterns = evidence.patterns
+    moving = evidence.columns(patterns)
+    zeros = np.zeros_like(np.asarray(patterns.q))
+    still = columns_of(network, dataclasses.replace(patterns, qd=zeros, qdd=zeros))
+
+    def columns(share: float) -> HostColumns:
+        pairs = zip(moving, still, strict=True)
+        return tuple(rows + (share - 1.0) * rest for rows, rest in pairs)
+
+    def errors(share: float) -> Score:
+        return Score(evidence.errors(patterns, columns(share)))
+
+    scores = {share: errors(share) for share in _SHARES}
+    for _ in range(2):  # halve the intervals about the best
+        ordered = sorted(scores)
+        best = min(ordered, key=lambda share: scores[share].mean)
+        at = ordered.index(best)
+        for other in (ordered[max(at - 1, 0)], ordered[min(at + 1, len(ordered) - 1)]):
+            middle = 0.5 * (best + other)
+            if middle not in scores:
+                scores[middle] = errors(middle)
+    share = min(scores, key=lambda share: scores[share].mean)
+    after = scores[share]
+    trial = dataclasses.replace(trial, before=Score(evidence.relative_errors))
+    known = np.isfinite(trial.factor)
+    if share < -_PRESENT:
+        gravity = -np.array(network.robot.gravity)
+        yield from trial.cause(
+            "mounting",
+            "",
+            after,
+            "gravity acts the other way round than in the robot's file",
+            lambda: _mounted(evidence, gravity),
+            gravity=_vector(gravity),
+        )
+        return
+    if share < _NO_SHARE or (share < _PRESENT and known and trial.factor < _PRESENT):
+        k = evidence.coefficients(patterns, columns(share))
+        recording = evidence.recording
+        at_rest = np.zeros_like(recording.position)
+        whole = np.ones(at_rest.shape, bool)
+        rows = Patterns(
+            recording.time, recording.position, at_rest, at_rest, recording.torque, whole, whole
+        )
+        inertial = np.zeros(network.size)
+        inertial[network.layout.inertial] = k[network.layout.inertial]
+        missing = (1.0 - share) * torque_of(network, rows, inertial)
+        mended = Recording(recording.time, recording.position, recording.torque + missing)
+        yield from trial.cause(
+            "gravity compensation",
+            "",
+            after,
+            f"the torque holds {100 * max(share, 0.0):.0f} % of the gravity that goes with its"
+            " inertia",
+            lambda: Evidence.of(network, mended, evidence.valid),
+        )
+        return
+    clock = share**-0.5
+    if abs(clock - 1.0) < _CLOCK or (known and not 0.5 < trial.factor < 2.0):
+        return
+    slow = Recording(
+        evidence.recording.time / clock, evidence.recording.position, evidence.recording.torque
+    )
+    yield from trial.cause(
+        "clock",
+        "",
+        after,
+        f"torques of inertia and gravity go together if time is divided by {clock:.3g}",
+        lambda: Evidence.of(network, slow, evidence.valid),
+        factor=f"{clock:.3g}",
+    )
+
+
+def _mounting(trial: _Trial) -> Iterator[Cause]:
+    """Yield another direction of gravity in the base frame."""
+    evidence, first = trial.evidence, trial.first
+    given = np.array(trial.evidence.network.robot.gravity, float)
+    size = float(np.linalg.norm(given))
+    gravity, angle = given.copy(), 0.0
+    if size == 0.0:
+        return
+    for round in range(3):
+        gravity = gravity + first.sizes(first.group("gravity"))
+        gravity *= size / max(float(np.linalg.norm(gravity)), TINY)
+        angle = float(np.arccos(np.clip(gravity @ given / size**2, -1.0, 1.0)))
+        if angle < _TILT:
+            return
+        tilted = _mounted(evidence, gravity)
+        first = FirstOrder.of(tilted, only=("gravity", 0))
+        turn = float(np.linalg.norm(np.cross(first.sizes(first.group("gravity")), gravity)))
+        if turn < 0.2 * _TILT * size**2 or round == 2:
+            break
+    yield from trial.cause(
+        "mounting",
+        "",
+        first.score(),
+        f"gravity acts along {_vector(gravity)} m/s² in the base frame, {np.degrees(angle):.3g}°"
+        " from the direction in the robot's file",
+        lambda: _mounted(evidence, gravity),
+        gravity=_vector(gravity),
+    )
+
+
+def _mounted(evidence: Evidence, gravity: Float[np.ndarray, "3"]) -> Evidence:
+    """Return the evidence with another gravity vector in the base frame."""
+    network = evidence.network
+    numeric = derive(network.robot.with_gravity(gravity.tolist()), lengths="numeric")
+    return dataclasses.replace(evidence, network=numeric.without_load())
+
+
+def _vector(values: np.ndarray) -> str:
+    return f"({', '.join(f'{value:.3g}' for value in values + 0.0)})"
+
+
+def _drift(trial: _Trial) -> Iterator[Cause]:
+    after = trial.first.score(trial.columns)
+    names = np.array(trial.evidence.network.output_names)
+    halved = after.errors**2 < 0.5 * trial.before.errors**2
+    joints = ", ".join(names[halved])
+    yield from trial.cause(
+        "drift",
+        joints,
+        after,
+        "friction or the zero of torque changes steadily from the start to the end",
+        lambda: None,
+    )
+
+
+def _tool(trial: _Trial) -> Iterator[Cause]:
+    first, evidence = trial.first, trial.evidence
+    moment = float(first.edges[trial.which])
+    mass = float(first.sizes(trial.columns)[-1])
+    time, middle = evidence.recording.time, 0.5 * float(first.edges[0] + first.edges[-1])
+    rows = time < moment if moment > middle else time > moment
+    start, end = (float(time[rows][i]) for i in (0, -1))
+
+    def longer_part() -> Evidence:
+        part = evidence.recording.rows(rows)
+        return Evidence.of(evidence.network, part, evidence.valid[rows])
+
+    shown = f" ({mass:+.2g} kg)" if abs(mass) > TINY else ""
+    yield from trial.cause(
+        "tool change",
+        "",
+        first.score(trial.columns),
+        f"the torque is that of another body at the last link{shown} from {moment:.3g} s on",
+        longer_part,
+        start=start,
+        end=end,
+    )
+
+
+def _contact(evidence: Evidence, first: FirstOrder, before: Score) -> Iterator[Cause]:
+    """Yield a stretch whose torque the coefficients of all others do not explain."""
+    # Each time the blocks with the largest errors are left out of the fit (least trimmed squares).
+    left = np.zeros(BLOCKS, bool)
+    ratio = np.zeros(first.counts.shape)
+    for _ in range(_TRIMS):
+        errors = first.without(left).block_errors(first)
+        usual = np.median(errors[~left], axis=0)
+        ratio = errors / np.maximum(usual, np.maximum(evidence.noise, TINY))
+        ratio = np.where(errors > _MATTERS, ratio, 0.0)
+        left = np.zeros(BLOCKS, bool)
+        left[np.argsort(ratio.max(axis=1))[BLOCKS - round(_MOST_TOUCHED * BLOCKS) :]] = True
+    touched = _main_stretch(ratio.max(axis=1))
+    # The blocks beside may be touched in part.
+    wide = touched.copy()
+    wide[1:] |= touched[:-1]
+    wide[:-1] |= touched[1:]
+    if not touched.any() or wide.mean() > _MOST_TOUCHED:
+        return
+    start, end = first.edges[np.flatnonzero(wide)[0]], first.edges[np.flatnonzero(wide)[-1] + 1]
+    names = np.array(evidence.network.output_names)
+    joints = names[np.any((ratio > _TOUCHED) & wide[:, None], axis=0)]
+    trial = _Trial(evidence, first, before, "contact", 0, Columns(np.zeros((1, 1, 1, 0))), np.nan)
+
+    def without() -> Evidence:
+        time = evidence.recording.time
+        outside = (time < start) | (time > end)
+        return Evidence.of(evidence.network, evidence.recording, evidence.valid & outside[:, None])
+
+    yield from trial.cause(
+        "contact",
+        ", ".join(joints),
+        first.without(wide).score(),
+        f"from {start:.3g} s to {end:.3g} s the torque is another one than that of all other"
+        " motion",
+        without,
+        start=f"{start:.3g}",
+        end=f"{end:.3g}",
+    )
+
+
+def _main_stretch(ratio: Float[np.ndarray, " blocks"]) -> Bool[np.ndarray, " blocks"]:
+    """Mark the blocks beside the one with the largest ratio that are touched as well."""
+    touched, top = ratio > _TOUCHED, int(np.argmax(ratio))
+    stretch = np.zeros(len(ratio), bool)
+    for blocks in (range(top, len(ratio)), range(top, -1, -1)):
+        for block in blocks:
+            if not touched[block]:
+                break
+            stretch[block] = True
+    return stretch
+
+
+_REFINE: dict[str, Callable[[_Trial], Iterator[Cause]]] = {
+    "scale of torque": _torque_scale,
+    "scales of torques": _torque_scale,
+    "zero": _zero_position,
+    "scale of position": _position_scale,
+    "share of gravity": _gravity_share,
+    "mounting": _mounting,
+    "drift": _drift,
+    "tool": _tool,
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class FileFactors:
+    """Factors of the file's gravity in a recording, of joints that gravity loads.
+
+    - `joints`: the joints, from 0.
+    - `factor`: of gravity's torque; 1 where file and recording agree.
+    - `error`: its standard error.
+    """
+
+    joints: Int[np.ndarray, " loaded"]
+    factor: Float[np.ndarray, " loaded"]
+    error: Float[np.ndarray, " loaded"]
+
+    @property
+    def common(self) -> float:
+        """Median factor; NaN without joints that gravity loads."""
+        return float(np.median(self.factor)) if self.joints.size else np.nan
+
+
+# A joint is loaded if gravity's torque is this part of that of the most loaded joint, and at least
+# as large as what motion takes; its factor counts if its relative error is below a bound.
+_LOADED, _KNOWN = 0.15, 0.2
+_ROWS_ALIKE = 5.0  # rows that share their errors
+
+
+def file_factors(evidence: Evidence) -> FileFactors | None:
+    """Compare gravity's torque with that of the file's masses; None if the file has none.
+
+    Joint by joint, torque is a factor times the file's gravity, another times the file's torque of
+    motion, and friction.
+    """
+    patterns, network = evidence.patterns, evidence.network
+    q, qd, torque = (np.asarray(x) for x in (patterns.q, patterns.qd, patterns.torque))
+    per_axis = gravity_columns(network, q)
+    if per_axis is None or network.robot.links is None:
+        return None
+    gravity = per_axis @ np.array(network.robot.gravity, float)
+    k = np.asarray(network.coefficients_from(network.robot.links))
+    motion = torque_by(network.support, evidence.columns(patterns), k) - gravity
+    mask = np.asarray(patterns.mask)
+    counts = np.maximum(mask.sum(axis=0), 1)
+    sizes, others = (
+        np.sqrt(np.where(mask, x**2, 0.0).sum(axis=0) / counts) for x in (gravity, motion)
+    )
+    loaded = (sizes > _LOADED * np.max(sizes)) & (sizes > others) & (counts > 20)
+    factors: list[tuple[int, float, float]] = []
+    for joint in np.flatnonzero(loaded & (np.ptp(torque, axis=0) > 0.0)).tolist():
+        rows = mask[:, joint]
+        terms = (gravity[:, joint], motion[:, joint], qd[:, joint], np.sign(qd[:, joint]))
+        matrix = np.stack(terms, axis=1)[rows]
+        scale = np.maximum(np.sqrt(np.sum(matrix**2, axis=0)), TINY)
+        inverse = np.linalg.pinv((matrix / scale).T @ (matrix / scale), 1e-10, True)
+        solution = inverse @ ((matrix / scale).T @ torque[rows, joint]) / scale
+        residual = torque[rows, joint] - matrix @ solution
+        variance = _ROWS_ALIKE * float(np.mean(residual**2))
+        error = np.sqrt(variance * inverse[0, 0]) / scale[0]
+        if error < _KNOWN * max(abs(solution[0]), 1.0):
+            factors.append((joint, float(solution[0]), float(error)))
+    joints, values, errors = zip(*factors, strict=True) if factors else ((), (), ())
+    return FileFactors(np.array(joints, int), np.array(values, float), np.array(errors, float))
+
+
+def _file_factor(evidence: Evidence) -> float:
+    factors = file_factors(evidence)
+    return np.nan if factors is None else factors.common
+
+
+# What files' masses are usually wrong by, as a logarithm; how many standard deviations, and which
+# factor, are more than that; and the deviation of joints' factors from each other that is.
+_USUAL, _SIGNIFICANT, _FACTOR, _SPREAD = 0.2, 2.5, 1.25, 0.5
+
+
+def file_findings(evidence: Evidence) -> Iterator[Finding]:
+    """Compare a recording, which nothing else looks wrong with, with its file's masses and limits.
+
+    **Yields** a common factor of all torques, or that it is another robot's file.
+    """
+    factors = file_factors(evidence)
+    names = np.array(evidence.network.output_names)
+    if factors is not None and factors.joints.size and np.all(factors.factor > 0.0):
+        logs = np.log(factors.factor)
+        weights = 1.0 / (_USUAL**2 + (factors.error / factors.factor) ** 2)
+        mean = float(weights @ logs / weights.sum())
+        spread = float(np.sqrt(weights @ (logs - mean) ** 2 / weights.sum()))
+        listed = ", ".join(
+            f"{name} {factor:.3g}"
+            for name, factor in zip(names[factors.joints], factors.factor, strict=True)
+        )
+        text = f"gravity's torques are those of the masses in the robot's file times {listed}"
+        if factors.joints.size > 1 and spread > _SPREAD:
+            yield finding("wrong robot", text)
+        elif abs(mean) > max(np.log(_FACTOR), _SIGNIFICANT / np.sqrt(weights.sum())):
+            # Lengths of another robot change gravity's torque relative to that of motion.
+            first = FirstOrder.of(evidence)
+            gain = first.score().mean - first.score(first.group("motion")).mean
+            if gain > LEAST_GAIN:
+                text += ", and its lengths are not those of the motion's inertia"
+            yield finding("wrong robot" if gain > LEAST_GAIN else "torque scale", text)
