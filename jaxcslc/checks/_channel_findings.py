@@ -22,13 +22,13 @@ class Channels:
     - `findings`: what looks wrong.
     - `recording`: with angles unwrapped.
     - `valid`: False for torques that are no measurements of the joint's.
-    - `saturated`: torques that pile up, which may be peaks.
+    - `suspects`: torques that may be unsigned or saturated: motion decides.
     """
 
     findings: tuple[Finding, ...]
     recording: Recording
     valid: Bool[np.ndarray, "samples joints"]
-    saturated: "tuple[Saturated, ...]" = ()
+    suspects: "tuple[Unsigned | Saturated, ...]" = ()
 
     @classmethod
     def of(cls, recording: Recording, names: Sequence[str], kinds: str) -> "Channels":
@@ -64,11 +64,11 @@ class Channels:
             )
             for row in jumps.tolist():
                 valid[max(row - _BESIDE, 0) : row + _BESIDE] = False
-        for row, found in (("stop", _stops), ("unsigned torque", _unsigned)):
-            for joint, text, spoilt in found(recording):
-                findings.append(finding(row, text, names[joint], joint=names[joint]))
-                valid[spoilt, joint] = False
-        return cls(tuple(findings), recording, valid, tuple(_saturated(recording, valid)))
+        for joint, text, spoilt in _stops(recording):
+            findings.append(finding("stop", text, names[joint], joint=names[joint]))
+            valid[spoilt, joint] = False
+        suspects = (*_unsigned(recording), *_saturated(recording, valid))
+        return cls(tuple(findings), recording, valid, suspects)
 
     @property
     def kinds(self) -> set[str]:
@@ -77,12 +77,51 @@ class Channels:
 
 
 @dataclasses.dataclass(frozen=True)
+class Unsigned:
+    """Torques of a joint that may have lost their sign.
+
+    - `joint`: from 0.
+    - `sign`: that the torques would have, if it changed each time they reach zero.
+    - `rows`: the samples, all of them.
+    - `text`: evidence.
+    """
+
+    joint: int
+    sign: Float[np.ndarray, " samples"]
+    rows: Bool[np.ndarray, " samples"]
+    text: str
+    row = "unsigned torque"
+
+    def confirmed(self, evidence: Evidence, time: Float[np.ndarray, " samples"]) -> bool:
+        """Return whether motion explains the torque better with signs."""
+        at = np.searchsorted(time - time[0], np.asarray(evidence.patterns.time))
+        signs = self.sign[np.minimum(at, len(time) - 1)]
+        without, signed = (_own_error(evidence, self.joint, x)[1] for x in (1.0, signs))
+        return bool(signed < _SIGNED * without)
+
+
+def _own_error(
+    evidence: Evidence, joint: int, factor: float | Float[np.ndarray, " rows"]
+) -> tuple[Float[np.ndarray, " rows"], float]:
+    """Return predicted minus factor times recorded torque, and its root mean square where valid.
+
+    By the joint's own equations: other joints may have faults of their own.
+    """
+    patterns = evidence.patterns
+    own = evidence.columns(patterns)[joint].T
+    own = np.column_stack([own, np.ones(len(own))])
+    torque, mask = (np.asarray(x)[:, joint] for x in (patterns.torque, patterns.mask))
+    fitted = np.linalg.lstsq(own[mask], (factor * torque)[mask], rcond=_RANK)[0]
+    error = own @ fitted - factor * torque
+    return error, float(np.sqrt(np.mean(error[mask] ** 2)))
+
+
+@dataclasses.dataclass(frozen=True)
 class Saturated:
     """Torques of a joint that pile up at one end of their range.
 
     - `joint`: from 0; `sign`: of the end, 1 or -1.
     - `width`: of the noise about it [N m or N].
-    - `end`: where the noise begins [N m or N].
     - `rows`: the samples.
     - `text`: evidence.
     """
@@ -90,31 +129,20 @@ class Saturated:
     joint: int
     sign: float
     width: float
-    end: float
     rows: Bool[np.ndarray, " samples"]
     text: str
 
-    def beyond(self, evidence: Evidence) -> bool:
-        """Return whether the motion takes more torque there, by a fit without these samples."""
-        patterns = evidence.patterns
-        time = evidence.recording.time
-        inside = np.interp(np.asarray(patterns.time), time, self.rows_of(evidence)) > 0.5
-        if not inside.any():
-            return False
-        # By the joint's own equations: other joints may have faults of their own.
-        own = evidence.columns(patterns)[self.joint].T
-        own = np.column_stack([own, np.ones(len(own))])
-        torque, mask = (np.asarray(x)[:, self.joint] for x in (patterns.torque, patterns.mask))
-        fitted = np.linalg.lstsq(own[mask], torque[mask], rcond=_RANK)[0]
-        error = own @ fitted - torque
-        usual = np.sqrt(np.mean(error[mask] ** 2))
-        more = float(np.mean(self.sign * error[inside]))
-        return more > max(_MORE * self.width, float(usual))
+    row = "clipping"
 
-    def rows_of(self, evidence: Evidence) -> Float[np.ndarray, " samples"]:
-        """Return which samples of the evidence's recording are piled up, as 1."""
-        torque = self.sign * evidence.recording.torque[:, self.joint]
-        return (torque >= self.sign * self.end).astype(float)
+    def confirmed(self, evidence: Evidence, time: Float[np.ndarray, " samples"]) -> bool:
+        """Return whether the motion takes more torque there, by a fit without these samples."""
+        at = np.searchsorted(time - time[0], np.asarray(evidence.patterns.time))
+        inside = self.rows[np.minimum(at, len(time) - 1)]
+        if not inside.any() or not np.asarray(evidence.patterns.mask)[:, self.joint].any():
+            return False
+        error, usual = _own_error(evidence, self.joint, 1.0)
+        more = float(np.mean(self.sign * error[inside]))
+        return more > max(_MORE * self.width, usual)
 
 
 _FEWEST = 200  # samples, below which nothing is said
@@ -197,20 +225,28 @@ def _runs(marked: Bool[np.ndarray, " samples"]) -> tuple[np.ndarray, np.ndarray]
 # A torque that is never negative is unsigned if it turns back at zero so often: within this part of
 # its greatest value, and by this part on both sides.
 _TURNS, _NEAR_ZERO, _AWAY = 3, 0.02, 0.05
+_SIGNED = 0.7  # of the error without signs is left with them
 
 
-def _unsigned(recording: Recording) -> Found:
+def _unsigned(recording: Recording) -> Iterator[Unsigned]:
     """Yield joints whose torque is never negative, and turns back at zero."""
     for joint, column in enumerate(recording.torque.T):
         top = float(np.max(column))
         if np.min(column) < 0.0 or top <= 0.0:
             continue
         starts, stops = _runs(column > _AWAY * top)
-        gaps = zip(stops[:-1], starts[1:], strict=True)
-        turns = sum(np.min(column[i:j]) < _NEAR_ZERO * top for i, j in gaps)
+        turns, sign = 0, np.ones(column.shape)
+        for start, stop in zip(stops[:-1], starts[1:], strict=True):
+            lowest = start + int(np.argmin(column[start:stop]))
+            if column[lowest] < _NEAR_ZERO * top:
+                turns += 1
+                sign[lowest:] *= -1.0
         if turns >= _TURNS:
-            text = f"its torque is never negative, and comes back from zero {turns} times"
-            yield joint, text, np.ones(column.shape, bool)
+            text = (
+                f"its torque is never negative, and motion explains it with signs that change the"
+                f" {turns} times that it reaches zero"
+            )
+            yield Unsigned(joint, sign, np.ones(column.shape, bool), text)
 
 
 # Saturated torques lie within so many standard deviations of the noise; as a part of all samples;
@@ -244,5 +280,5 @@ def _saturated(recording: Recording, valid: np.ndarray) -> Iterator[Saturated]:
                     f"{100 * counts[0] / values.size:.2g} % of its torques in motion lie within"
                     f" {width:.2g} of the {word}, {sign * (top - 0.5 * width):.4g}"
                 )
-                yield Saturated(joint, sign, width, sign * (top - width), spoilt, text)
+                yield Saturated(joint, sign, width, spoilt, text)
                 break

@@ -13,7 +13,7 @@ from .._text_table import text_table
 from ..manipulator import JointLimits
 from ..network import CSLC, derive
 from ..recordings import MINIMUM_SAMPLES, Recording, encoder_resolution, stale_rows
-from ._channel_findings import Channels, Saturated
+from ._channel_findings import Channels, Saturated, Unsigned
 from ._evidence import Evidence
 from ._findings import SPOILING_KINDS, Finding, finding
 from ._motion_findings import agreement_findings, motion_findings, rate_findings
@@ -212,24 +212,20 @@ def _check_one(
     findings += channels.findings
     recording = channels.recording
     outliers = Outliers.of(recording)
-    # The corners of a torque without its sign are none.
-    if not channels.kinds & {"unsigned torque", "jump"}:
-        findings += outliers.findings(recording, joints)
     source = network.robot.source
     fixable = source is not None and source.format != "toml"
     findings += sample_findings(recording, joints, fixable=fixable)
     mended = outliers.mended(recording)
-    saturated = _saturated(network, mended, channels)
-    findings += [
-        finding("clipping", one.text, joints[one.joint])
-        for one in saturated
-        if not any(
-            found.kind == "clipping" and found.joint == joints[one.joint] for found in findings
-        )
-    ]
     valid = channels.valid & ~clipping(recording.torque)
-    for one in saturated:
+    clipped = {found.joint for found in findings if found.kind == "clipping"}
+    for one in _confirmed(network, mended, channels):
+        name_of = joints[one.joint]
+        if one.row != "clipping" or name_of not in clipped:
+            findings.append(finding(one.row, one.text, name_of, joint=name_of))
         valid[one.rows, one.joint] = False
+    # The corners of a torque without its sign are no outliers.
+    if not {found.kind for found in findings} & {"unsigned torque", "jump"}:
+        findings += outliers.findings(recording, joints)
     # Rows whose positions all repeat those of the row before: of a slower source, or stale.
     same = repeats_row_before(mended.position)
     fresh = ~(same if np.mean(same) > _SLOW_SOURCE else stale_rows(mended))
@@ -249,16 +245,18 @@ def _check_one(
     return findings, RecordingSummary.of(network, recording, name, excitation), evidence
 
 
-def _saturated(network: CSLC, recording: Recording, channels: Channels) -> list[Saturated]:
-    """Return the torques that pile up and by the motion should be beyond."""
+def _confirmed(
+    network: CSLC, recording: Recording, channels: Channels
+) -> list[Unsigned | Saturated]:
+    """Return the suspects among the torques that the motion confirms."""
     valid = channels.valid.copy()
-    for one in channels.saturated:
-        valid[one.rows, one.joint] = False
-    if not channels.saturated or not valid.any():
-        return []
+    for one in channels.suspects:
+        if not one.rows.all():
+            valid[one.rows, one.joint] = False
     with contextlib.suppress(ValueError):
-        evidence = Evidence.of(network, recording, valid)
-        return [one for one in channels.saturated if one.beyond(evidence)]
+        if channels.suspects:
+            evidence = Evidence.of(network, recording, valid)
+            return [x for x in channels.suspects if x.confirmed(evidence, recording.time)]
     return []
 
 

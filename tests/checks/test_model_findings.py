@@ -141,6 +141,26 @@ def test_gravity_that_was_taken_out(network: jc.CSLC) -> None:
     assert jc.check(network, recording).findings[0].kind == "gravity compensation"
 
 
+def test_torques_without_their_signs(network: jc.CSLC, clean: jc.Recording) -> None:
+    """A torque that friction reverses is named; one that comes near zero without is not."""
+    torque = clean.torque.copy()
+    torque[:, 3] = np.abs(torque[:, 3])
+    first = jc.check(network, dataclasses.replace(clean, torque=torque)).findings[0]
+    assert (first.kind, first.joint) == ("unsigned torque", "j2s6s200_joint_4")
+    shifted = clean.torque - np.min(clean.torque, axis=0)
+    found = jc.check(network, dataclasses.replace(clean, torque=shifted)).findings
+    assert "unsigned torque" not in {one.kind for one in found}
+
+
+def test_torques_at_the_end_of_a_sensor(network: jc.CSLC) -> None:
+    run = record(ARM, Conditions(duration=16.0), SEED)
+    torque = run.recording.torque - run.noise
+    torque[:, 1] = np.clip(torque[:, 1], -10.0, 10.0)
+    limited = dataclasses.replace(run.recording, torque=torque + run.noise)
+    first = jc.check(network, limited).findings[0]
+    assert (first.kind, first.joint) == ("clipping", "j2s6s200_joint_2")
+
+
 def test_a_common_factor_is_seen_by_the_file_s_masses(
     network: jc.CSLC, clean: jc.Recording
 ) -> None:
@@ -178,9 +198,6 @@ class TestChannels:
         channels = Channels.of(recording, ("a", "b"), "RR")
         assert [one.joint for one in channels.findings] == ["a"]
         np.testing.assert_allclose(channels.recording.position, shifted, atol=1e-12)
-
-    def test_unsigned(self) -> None:
-        assert self.kinds(self.motion, np.abs(self.torque)) == [("unsigned torque", "a")]
 
     def test_lost_rows(self) -> None:
         kept = np.r_[0:1500, 1600:4000]
