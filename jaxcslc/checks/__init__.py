@@ -5,13 +5,21 @@
 - `_check`: the entry point, `check`, and summaries of what was read.
 - `_findings`: the table of causes and remedies.
 - `_sample_findings`: clock, stale rows, outliers, clipping.
+- `_channel_findings`: angles that wrap, jumps, stops, unsigned and saturated torques.
 - `_evidence`: the low-passed part of a recording that hypotheses are scored on.
+- `_first_order`, `_model_findings`: scales, zero positions, mounting, clock, and what changes
+  during a recording, by the columns that a small fault adds.
+- `_causes`: causes, and recordings without them.
 - `_motion_findings`, `_torque_lag`: faults in columns, the lag of torques, and recordings that
   differ from the first.
 """
 
 from ._check import DataCheck as DataCheck, check as check
-from ._findings import AGREEMENT_KINDS as AGREEMENT_KINDS, Finding as Finding
+from ._findings import (
+    AGREEMENT_KINDS as AGREEMENT_KINDS,
+    SPOILING_KINDS as SPOILING_KINDS,
+    Finding as Finding,
+)
 from ._sample_findings import without_outliers as without_outliers
 from ._torque_lag import (
     TorqueLag as TorqueLag,

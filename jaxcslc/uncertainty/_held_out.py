@@ -28,6 +28,8 @@ CHANCE = 0.01
 FOLDS = 8
 # Below so much less error, coefficients that need more than others are no better.
 _LEAST_GAIN = 0.01
+# Held-out errors are no matter up to so many times the training errors, whatever noise explains.
+_NOTICED = 1.1
 
 
 Source = Literal["validation", "cross-validation", "held-out recording", "held-out stretch"]
@@ -81,7 +83,8 @@ lack a term
         Either the model lacks a term whose effect the held-out motion shows more of, or the fit
         follows the noise of its training data: use fewer coefficients or more motion.
         """
-        return tuple(int(joint) + 1 for joint in np.flatnonzero(self.ratio > self.limit))
+        limit = np.maximum(self.limit, _NOTICED)
+        return tuple(int(joint) + 1 for joint in np.flatnonzero(self.ratio > limit))
 
     @property
     def warnings(self) -> tuple[str, ...]:

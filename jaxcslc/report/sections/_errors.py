@@ -13,7 +13,7 @@ from jaxcslc._plain_data import record_document, record_from
 from jaxcslc._text_table import text_table
 from jaxcslc.instruments import HorizonError
 from jaxcslc.likelihood import estimator_text, presliding_line
-from jaxcslc.recordings import Patterns
+from jaxcslc.recordings import Patterns, noise_level
 from jaxcslc.uncertainty import HeldOut, RelativeError
 
 from .._errors import ErrorTable
@@ -129,7 +129,10 @@ class QualitySection(AbstractSection):
         return {
             "joints": report.model.output_names,
             "quality": {
-                name: fit_quality(patterns, report.predicted(name))
+                name: {
+                    **fit_quality(patterns, report.predicted(name)),
+                    "noise": _noise(patterns),
+                }
                 for name, patterns in report.patterns.items()
             },
         }
@@ -144,7 +147,8 @@ class QualitySection(AbstractSection):
             yield Message(f"All samples of the {name} recording are masked.", "bad")
             return
         worst = int(np.nanargmax(percent))
-        largest = float(percent[worst])
+        # Sensor noise is no error of the model.
+        largest = float(np.nanmax(_beyond_noise(percent, quality)))
         tone: Tone = "bad" if largest > _LARGE else "caution" if largest > _SMALL else "good"
         judged, every = _range(percent), _range(whole)
         masked = "" if judged == every else f" ({every} % including masked samples)"
@@ -178,6 +182,9 @@ class QualitySection(AbstractSection):
                 for samples, title in (("judged", ""), ("all", ", all samples"))
                 for kind, column in kinds.items()
             ]
+            if "noise" in quality:
+                noise = Column("noise", f"standard deviation of white noise of the {quantity}")
+                columns.insert(1, (noise, quality["noise"]))
             blocks.append(model.table(columns, f"{name} recording", f"errors-{name}"))
         yield Section(
             "Errors",
@@ -265,8 +272,17 @@ class HeldOutSection(AbstractSection):
             yield Message("Not tested on held-out data.", "caution")
             return
         motion = _MOTION[held_out.source]
-        beyond = [report.model.output_names[joint - 1] for joint in held_out.beyond_chance]
-        if beyond:
+        names = report.model.output_names
+        beyond = [names[joint - 1] for joint in held_out.beyond_chance]
+        percent = self._percent(held_out, report)
+        if np.any(percent > _LARGE):
+            worst = int(np.nanargmax(percent))
+            yield Message(
+                f"Held-out data ({motion}): the error is {percent[worst]:.2g} % of the RMS"
+                f" {report.model.output_quantity} at {names[worst]}.",
+                "bad",
+            )
+        elif beyond:
             yield Message(
                 f"Held-out data ({motion}): errors at {listed(beyond)} are larger than noise"
                 " explains. The model may lack a term.",
@@ -276,6 +292,17 @@ class HeldOutSection(AbstractSection):
             yield Message(
                 f"Held-out data ({motion}): errors are no larger than noise explains.", "good"
             )
+
+    @staticmethod
+    def _percent(held_out: HeldOut, report: AnyReport) -> Float[np.ndarray, " outputs"]:
+        """Return held-out errors beyond noise, in % of the RMS torque of the training recording."""
+        quality = report.section("quality")
+        if quality is None:
+            return np.zeros(len(held_out.held_out))
+        training = quality.data["quality"]["training"]
+        size = np.asarray(training["judged"]["torque_rms"], float)
+        percent = 100.0 * held_out.held_out / np.where(size > 0.0, size, np.inf)
+        return _beyond_noise(percent, training)
 
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         held_out, model = self.result(self.name, report), report.model
@@ -430,6 +457,26 @@ def fit_quality(
         "judged": _over_samples(torque, predicted, judged),
         "all": _over_samples(torque, predicted, every),
     }
+
+
+# Fewest samples whose scatter tells noise from motion.
+_FEWEST = 10
+
+
+def _noise(patterns: Patterns) -> list[float]:
+    """Return the standard deviation of each torque's white noise [N m or N]."""
+    torque = np.asarray(patterns.torque, float)
+    return noise_level(torque).tolist() if len(torque) >= _FEWEST else [0.0] * torque.shape[1]
+
+
+def _beyond_noise(
+    percent: Float[np.ndarray, " outputs"], quality: Mapping[str, Any]
+) -> Float[np.ndarray, " outputs"]:
+    """Return errors [% of RMS torque] without the part that the torque's noise explains."""
+    size = np.asarray(quality["judged"]["torque_rms"], float)
+    noise = np.asarray(quality.get("noise", 0.0), float)
+    share = 100.0 * noise / np.where(size > 0.0, size, np.inf)
+    return np.sqrt(np.maximum(percent**2 - share**2, 0.0))
 
 
 def _over_samples(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxcslc.checks import DataCheck, Finding
+from jaxcslc.checks import SPOILING_KINDS, DataCheck, Finding
 from jaxcslc.recordings import Patterns
 from jaxcslc.uncertainty import several_text
 
@@ -72,6 +72,9 @@ class WarningSection(AbstractSection):
         return self.data.get("notes", ())
 
     def messages(self, report: AnyReport) -> Iterator[Message]:
+        wrong = [x for x in self.data.get("findings", ()) if x["kind"] in SPOILING_KINDS]
+        if wrong:
+            yield Message(f"The recording is wrong: {Finding(**wrong[0]).cause}.", "bad")
         if count := len([*self._findings(), *self.data.get("warnings", ())]):
             yield Message(
                 f"{counted(count, 'warning')} about the recordings or the fit.", "caution"

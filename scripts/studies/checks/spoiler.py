@@ -112,13 +112,15 @@ def judged(job: Job) -> dict[str, Any]:
     friction = clean_conditions(seed).friction if kind == _CLEAN else 1.0
     # What is worth knowing of a fit is whether it is wrong and nothing was said.
     truth = arm(name, seed).coefficients(friction)
-    well, outside = _confident(network, case, truth) if first is None else (0, 0)
+    report = _identified(network, case)
+    well, outside = _confident(network, report, truth) if first is None else (0, 0)
     right = first is not None and _is_right(first, case, network)
     wrong = outside > scipy.stats.binom.ppf(1.0 - _CHANCE, well, 1.0 - _LEVEL)
     silent = "silent and wrong" if wrong else "silent and harmless"
     return {
         **{"arm": name, "kind": kind, "size": size, "seed": seed},
         "result": silent if first is None else "named" if right else "named wrongly",
+        "verdict": "refused" if report is None else report.page(charts=False).tone,
         "well_determined": well,
         "outside": outside,
         "first": "" if first is None else first.kind,
@@ -132,11 +134,18 @@ def _is_right(found: Finding, case: Spoilt, network: jc.CSLC) -> bool:
     return found.kind in case.kinds and set(names) <= set(found.joint.split(", "))
 
 
-def _confident(network: jc.CSLC, case: Spoilt, truth: np.ndarray) -> tuple[int, int]:
+def _identified(network: jc.CSLC, case: Spoilt) -> jc.Report | None:
+    """Return the report of a recording; None if one line says why there is none."""
+    try:
+        return jc.identify(network, case.recordings[0], settings=jc.Settings(), possible="never")
+    except ValueError:
+        return None
+
+
+def _confident(network: jc.CSLC, report: jc.Report | None, truth: np.ndarray) -> tuple[int, int]:
     """Return how many coefficients are well determined, and how many of these are wrong."""
-    report = jc.identify(
-        network, case.recordings[0], settings=jc.Settings(), checks=False, possible="never"
-    )
+    if report is None or report.network.size != len(truth):
+        return 0, 0
     listed = verdicts(network, report.fit, report.excitation, systematic=report.systematic)
     well = np.array([verdict.kind == "well determined" for verdict in listed])
     rows = report.rows(_LEVEL)
@@ -158,6 +167,7 @@ def clean_conditions(seed: int) -> Conditions:
     )
 
 
+_VERDICTS = ("good", "caution", "bad", "refused")
 _RESULTS = ("named", "named wrongly", "silent and wrong", "silent and harmless")
 
 
@@ -181,6 +191,23 @@ def _tables(results: list[dict[str, Any]]) -> Iterator[str]:
         )
     yield rows_table(rows)
     clean = [row for row in results if row["kind"] == _CLEAN]
+    groups = {
+        "clean": clean,
+        **{
+            size: [x for x in results if x["kind"] != _CLEAN and SIZES[x["size"]] == size]
+            for size in SIZES
+        },
+    }
+    yield "verdicts of jaxcslc identify\n" + rows_table(
+        [
+            {
+                "recordings": name,
+                **{verdict: sum(x["verdict"] == verdict for x in some) for verdict in _VERDICTS},
+            }
+            for name, some in groups.items()
+            if some
+        ]
+    )
     if clean:
         alarms = [f"{row['arm']} {row['seed']}: {row['text']}" for row in clean if row["first"]]
         share = _confident_text(clean)
