@@ -116,8 +116,9 @@ def test_page_has_the_numbers_of_the_report(
             assert quality["all"]["rms"][joint] == pytest.approx(everything, rel=1e-9)
             values = [quality[samples][key][joint] for samples in ("judged", "all")
                       for key in ("rms", "percent", "r_squared")]  # fmt: skip
+            values.insert(1, quality["noise"][joint])
             assert [[float(entry) for entry in row[2:]] for row in rows
-                    if len(row) == 8].count(values) == 1  # fmt: skip
+                    if len(row) == 9].count(values) == 1  # fmt: skip
     assert "A gap of 3 s." in text and "jaxcslc identify &lt;x&gt;" in text
     assert "&lt;b&gt;&amp; arm" in text and "b" not in page.tags and "i" not in page.tags
     assert len(text) < 8_000_000
