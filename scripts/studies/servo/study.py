@@ -50,7 +50,7 @@ JUDGED = ("gain", "damping", "delay", "offset", "armature", "coulomb")
 MASSES = 1.1  # of the file, over the true ones
 PAYLOAD = 0.2  # kg
 # An arm of five joints, 60 s without and 60 s with payload: seconds on two cores.
-SECONDS = {"so101": 60.0, "seven": 110.0}
+SECONDS = {"so101": 150.0, "seven": 300.0}
 
 
 def row_of(name: str, seed: int, duration: float) -> dict[str, Any]:
@@ -161,7 +161,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--arms", nargs="+", default=list(LINKS), help="of " + " ".join(LINKS))
     parser.add_argument("--duration", type=float, default=60.0, help="of a recording [s]")
     parser.add_argument("--cases", action="store_true", help="the confounded cases instead")
-    options = command.parse(parser, arguments, seeds=1, arms=["so101"], duration=40.0)
+    options = command.parse(parser, arguments, seeds=1, arms=["so101"], duration=20.0)
     command.require_least(parser, options, seeds=1, duration=5.0)
     command.require_some_of(parser, "arm", options.arms, tuple(LINKS))
     seconds = sum(SECONDS[x] * options.seeds * options.duration / 60.0 for x in options.arms)
