@@ -93,7 +93,8 @@ class LeastSquares:
     **Attributes**
 
     - `joint_weights`: `"residual"` divides the equations of each joint by their root mean square
-      residual, as for joints of different noise; `"equal"`; or n positive numbers.
+      residual, as for joints of different noise; `"equal"`; or n positive numbers. A joint with
+      hardly more equations than coefficients counts as noisy as is usual.
     - `loss`: `"squared"`, ordinary least squares; or a robust one, minimised by iteratively
       reweighted least squares: `"huber"` bounds the influence of an equation beyond 1.345
       standard deviations, `"bisquare"` ignores equations beyond 4.685. The standard deviation of
