@@ -120,7 +120,7 @@ def _mapping(log: Path, stated: Path | None, robot: Manipulator, found: Decision
         mapping = guessed_mapping(names, _names(robot))
         if mapping is None:
             more = ", ..." if len(names) > _SHOWN else ""
-            raise ValueError(
+            raise RecordingError(
                 f"{log}: its columns are {', '.join(names[:_SHOWN])}{more}. No names of positions"
                 ' and torques are among them. Write "columns = [...]" with one name per joint in'
                 " [position] and [torque], and that of the time in [time], into a file for"
