@@ -124,7 +124,7 @@ def _mapping(log: Path, stated: Path | None, robot: Manipulator, found: Decision
                 f"{log}: its columns are {', '.join(names[:_SHOWN])}{more}. No names of positions"
                 ' and torques are among them. Write "columns = [...]" with one name per joint in'
                 " [position] and [torque], and that of the time in [time], into a file for"
-                " --columns"
+                " --columns, as docs/recordings.md shows"
             ) from None
         for quantity in ("time", "position", "velocity", "torque"):
             if (table := mapping.get(quantity)) is not None:

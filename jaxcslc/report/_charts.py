@@ -388,7 +388,7 @@ class ArmChart(AbstractChart):
                     **{name: [rounded(row, 4) for row in values] for name, values in surface},
                     "colorscale": [[0, colour], [1, colour]],
                     "showscale": False,
-                    "opacity": 0.4,
+                    "opacity": 0.25,
                     "hoverinfo": "name",
                 }
             )
