@@ -273,7 +273,8 @@ def _copy(whole: Path, folder: Path, written: Iterable[str], gone: Iterable[str]
     """Replace files of a folder, which may be on another disk, by copies."""
     with scratch_folder(folder, folder.name) as scratch:  # perhaps another disk
         for name in written:
-            shutil.copyfile(whole / name, scratch / name)
+            copy = shutil.copytree if (whole / name).is_dir() else shutil.copyfile
+            copy(whole / name, scratch / name)
         _replace(scratch, folder, written, gone)
 
 
@@ -346,6 +347,8 @@ def _replace(whole: Path, folder: Path, names: Iterable[str], gone: Iterable[str
     with unfinished(folder / MARKER) as file:
         _write_marker(file.parent, both)
     for name in sorted({*names} - {MARKER}):
+        if (folder / name).is_dir():
+            shutil.rmtree(folder / name)
         os.replace(whole / name, folder / name)
     for name in gone:
         (folder / name).unlink(missing_ok=True)

@@ -133,12 +133,6 @@ CLAIMS = (
         lambda seconds: all(round(value) == 2 for value in seconds),
     ),
     Claim(
-        "README.md",
-        "On the TX40 it is ahead",
-        real_robots("Stäubli TX40 | last third", *_SHOWN),
-        lambda usual, auto, friction: usual < min(auto, friction),
-    ),
-    Claim(
         "docs/likelihood.md",
         "It takes about ten times as long as least squares",
         tuple(

@@ -506,7 +506,8 @@ def information_rows(
     values, vectors = np.linalg.eigh((scaled + scaled.T) / 2 + FINEST**2 * np.eye(len(k)))
     basis = np.linalg.qr((open_rows / units).T)[0] if len(open_rows) else np.zeros((len(k), 0))
     parts = np.linalg.inv(np.concatenate([vectors[:, len(k) - rank :], basis], axis=1))
-    rows = parts[:rank] / np.sqrt(values[len(k) - rank :])[:, None]
+    # Of an indefinite covariance, what is below rounding is rounding.
+    rows = parts[:rank] / np.sqrt(np.maximum(values[len(k) - rank :], FINEST**2))[:, None]
     return np.where(rounding, 0.0, rows / units)
 
 

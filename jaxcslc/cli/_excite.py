@@ -13,6 +13,7 @@ from ..excitation import (
     Knowledge,
     Limits,
     Noise,
+    coefficient_sizes,
     design_files,
     design_motion,
     load_limits,
@@ -235,6 +236,7 @@ class MotionOptions:
 
 _ESTIMATORS = {"maximum-likelihood": "likelihood", "least-squares": "regression"}
 _RATE = 500.0  # of a first recording [Hz]
+_STATES = 200  # that show what a coefficient is for the torque
 # Kinds of friction with a coefficient for a torque that is the same whatever the motion.
 _CONSTANTS = {"offset", "asymmetric_dry"}
 # Before a first recording: noise of torques over their limits, and the step of encoders [rad].
@@ -269,7 +271,7 @@ def excite_command(
         bounds = _bounds(arm, options)
         rate = before.rate(_RATE) if options.rate is None else options.rate
         noise = _noise(before, bounds, options.stated_noise() | {"rate": rate})
-        if reached := _reached(before, names, options.target):
+        if reached := _reached(before, names, options.target, bounds, noise):
             return Output(reached)
         task = None if options.task is None else recording_of(options.task, arm, columns)
         design = design_motion(
@@ -375,13 +377,24 @@ def _noise(before: _Before, limits: Limits, stated: dict[str, Any]) -> Noise:
     return Noise(**(defaults | stated))
 
 
-def _reached(before: _Before, names: list[str] | None, target: float | None) -> str | None:
+def _reached(
+    before: _Before, names: list[str] | None, target: float | None, limits: Limits, noise: Noise
+) -> str | None:
     """Return the message that nothing need be recorded, if so."""
     if target is None:
         return None
-    indices = wanted_indices(before.network, names)
-    size = np.abs(before.knowledge.k[indices])
-    relative = 100 * before.knowledge.standard_error[indices] / np.where(size > 0, size, np.inf)
+    network, n = before.network, before.network.joint_count
+    # Any states within the limits show what a coefficient is for the torque.
+    states = np.random.default_rng(0).uniform(-1.0, 1.0, (3, _STATES, n))
+    low, high = np.clip([limits.low, limits.high], -np.pi, np.pi)
+    speed = np.where(np.isfinite(limits.velocity), limits.velocity, 1.0)
+    states *= np.stack([0.5 * (high - low), speed, speed**2])[:, None]
+    states[0] += 0.5 * (low + high)
+    torque = np.where(np.isfinite(limits.torque), limits.torque, 100 * noise.torque_deviation(n))
+    motion = (states[0], states[1], states[2])
+    size = coefficient_sizes(network, before.knowledge.k, motion, torque)
+    indices = wanted_indices(network, names)
+    relative = 100 * before.knowledge.standard_error[indices] / size[indices]
     if np.all(relative <= target):
         return f"nothing to record: --target is met, {np.max(relative):.3g} % or less"
     return None

@@ -46,6 +46,7 @@ from ._information import (
     MotionInformation as MotionInformation,
     Noise as Noise,
     Prediction as Prediction,
+    coefficient_sizes as coefficient_sizes,
 )
 from ._limits import Limits as Limits, Surroundings as Surroundings, load_limits as load_limits
 from ._output import Design as Design, design_files as design_files, save_design as save_design

@@ -250,7 +250,8 @@ def residual_weights(
       for residuals as they are.
     """
     xp = array_namespace(error)
-    some = torque > 0
+    # Torque that is rounding beside that of other joints is none.
+    some = torque > _ROUNDING * xp.max(torque, axis=-1, keepdims=True)
     parts = error / xp.where(some, torque, 1.0)
     floor = _ROUNDING
     if sizes is not None:

@@ -97,7 +97,7 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Rows as CSV, numbers in full precision."""
     with path.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file:
         names = list(rows[0])
-        lines = (names, *([row[name] for name in names] for row in rows))
+        lines = (names, *([row.get(name, "") for name in names] for row in rows))
         file.writelines(f"{csv_line(line)}\r\n" for line in lines)
 
 

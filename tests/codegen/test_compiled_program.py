@@ -42,7 +42,7 @@ def of_arm(joints: int = 3) -> tuple[Motion, CompiledProgram]:
 def wait_for_compiler() -> None:
     """Until no thread compiles; libraries are then looked for anew."""
     for thread in threading.enumerate():
-        if thread is not threading.current_thread() and not thread.daemon:
+        if thread.name.endswith("(_library)"):
             thread.join(60.0)
     _c_function._kept_library.cache_clear()
 

@@ -11,7 +11,7 @@ from jaxcslc.bodies import Known, Prior
 from tests import arms
 
 
-POOR, RICH = (0.3, 300), (1.5, 1000)  # amplitude [rad] and samples
+POOR, RICH = (0.3, 400), (1.5, 1000)  # amplitude [rad] and samples
 NOISE, STEP = 0.2, 0.01
 COUNT = 5e-5  # of the encoders [rad]
 

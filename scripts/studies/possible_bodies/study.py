@@ -87,6 +87,7 @@ def judged(network: jc.CSLC, conditions: Conditions, seed: int) -> dict[str, Any
         checks=False,
         systematic=False,
         possible="always",
+        file_prior=False,
     )
     possible = report.possible
     assert possible is not None

@@ -244,7 +244,7 @@ def test_error_table_is_what_recordings_and_coefficients_give(
 
 def test_command_judges_as_the_table_says(demo: Demo, puma: jc.CSLC) -> None:
     recordings = [demo.recording("a", name) for name in ("training", "comparison")]
-    report = jc.identify(puma, *recordings, settings=QUICK, possible="never")
+    report = jc.identify(puma, *recordings, settings=QUICK, possible="never", file_prior=False)
     (row,) = (row for row in demo.rows("errors_a") if row[""].endswith("identify judges"))
     assert_allclose(float(report.errors["validation"].epsilon[0]), float(row["CSLC"]), rtol=1e-6)
     assert_allclose(report.k, demo.column("coefficients_a", "value"), rtol=1e-6, atol=1e-9)
