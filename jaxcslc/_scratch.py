@@ -347,12 +347,19 @@ def _replace(whole: Path, folder: Path, names: Iterable[str], gone: Iterable[str
     with unfinished(folder / MARKER) as file:
         _write_marker(file.parent, both)
     for name in sorted({*names} - {MARKER}):
-        if (folder / name).is_dir():
-            shutil.rmtree(folder / name)
-        os.replace(whole / name, folder / name)
+        _move(whole / name, folder / name)
     for name in gone:
         (folder / name).unlink(missing_ok=True)
     os.replace(whole / MARKER, folder / MARKER)
+
+
+def _move(path: Path, place: Path) -> None:
+    """Move a file or a folder; of a folder that is there, other files stay."""
+    if path.is_dir() and place.is_dir():
+        for inside in path.iterdir():
+            _move(inside, place / inside.name)
+    else:
+        os.replace(path, place)
 
 
 @contextlib.contextmanager

@@ -59,6 +59,19 @@ _ARMS = {
 }
 
 CHARTS: Mapping[str, Chart] = {
+    "file_prior": Chart(
+        "Torque error of new motion with the file as prior, over two others, median",
+        "file_prior_evidence.md # Right and wrong files | file | {group} | {series}",
+        {
+            "usual file": "usual: masses 20 %, centres 2 cm",
+            "half the masses": "half the masses",
+            "twice the masses": "twice the masses",
+            "one inertia 100 times": "one inertia 100 times",
+            "a tool missing": "a tool of 12 % of the arm missing",
+            "one centre off": "one centre 14 cm off",
+        },
+        {"the file itself": "over the file's error", "the fit alone": "over the fit without"},
+    ),
     "real_robots": Chart(
         "Held-out torque error, mean of the joints [% of the torque]",
         "real_robots.md # {group} | {series} | mean",
