@@ -318,7 +318,7 @@ class FilePrior:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FileWeight:
-    """How much of a fit is the robot's file.
+    """Share of the robot's file in a fit.
 
     **Attributes**
 
@@ -363,7 +363,7 @@ class FileWeight:
             (
                 self.contradicted,
                 "the motion contradicts the masses, centres or inertias of the robot's file. They"
-                " are hardly used. Check the file, a tool or a payload that it lacks",
+                " have little weight. Check the file, a tool or a payload that it lacks",
             ),
             (
                 self.guessed,
