@@ -185,7 +185,7 @@ def _stops(recording: Recording) -> Found:
     """Yield joints that are suddenly stopped, again and again, at one end of their range."""
     interval = float(np.median(np.diff(recording.time)))
     reach, kept = max(2, round(_SUDDEN / interval)), round(_KEPT / interval)
-    if np.mean(stale_rows(recording)) > _REPEATED:
+    if recording.samples <= 2 * reach or np.mean(stale_rows(recording)) > _REPEATED:
         return
     tolerance = np.maximum(
         2.1 * encoder_resolution(recording.position), 6.0 * noise_level(recording.position)

@@ -19,6 +19,7 @@ Joints = Float[np.ndarray, " joints"]
 
 # Limits of derivatives that nobody states: this long to full speed, and to full acceleration [s].
 _TO_SPEED, _TO_ACCELERATION = 0.2, 0.05
+_LEAST, _MOST = 1e-6, 1e9  # of any limit, SI units; beyond, squares of motion are rounding
 _NAMES = ("position", "velocity", "acceleration", "jerk", "torque", "power")
 _MARGINS = ("position_margin", "torque_margin")
 _ROBOTS = Path(__file__).parent / "robots"
@@ -140,11 +141,12 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name in _NAMES[1:]:
-            wrong = np.flatnonzero(~(getattr(self, name) > 0.0))
+            limit = getattr(self, name)
+            wrong = np.flatnonzero(~((limit >= _LEAST) & ((limit <= _MOST) | np.isinf(limit))))
             if wrong.size:
-                value = getattr(self, name)[wrong[0]]
                 raise ValueError(
-                    f"limit of {name} of joint {wrong[0] + 1} is {value:g}; expected more than 0"
+                    f"limit of {name} of joint {wrong[0] + 1} is {limit[wrong[0]]:g}; expected"
+                    f" from {_LEAST:g} to {_MOST:g}"
                 )
         wrong = np.flatnonzero(~((self.low < self.high) & np.isfinite(self.high - self.low)))
         if wrong.size:

@@ -246,14 +246,19 @@ def modified_dh_joints(
     return tuple(joints)
 
 
+_MOST_GRAVITY = 1e4  # m/s²; that of the Sun's surface is 274
+
+
 def gravity_vector(gravity: Sequence[float | int], name: str) -> tuple[float, float, float]:
     """Return gravity as three numbers, or raise `RobotError` with the robot's name."""
     numbers = [isinstance(g, int | float) and not isinstance(g, bool) for g in gravity]
     if numbers != [True] * 3:
         raise RobotError(f"robot {name!r}: gravity must be three numbers in m/s², got {gravity!r}")
     x, y, z = (float(g) for g in gravity)
-    if not abs(x) + abs(y) + abs(z) < float("inf"):
-        raise RobotError(f"robot {name!r}: gravity must be finite, got {gravity!r}")
+    if not abs(x) + abs(y) + abs(z) <= _MOST_GRAVITY:
+        raise RobotError(
+            f"robot {name!r}: gravity must be at most {_MOST_GRAVITY:g} m/s², got {gravity!r}"
+        )
     return x, y, z
 
 

@@ -15,6 +15,8 @@ from jaxtyping import Bool, Float, Int
 # seen: its slowest poles fade by exp(-0.38 · 2π) in each. After twice as many, 1e-10 is left.
 _REFLECTED_PERIODS = 5.0
 _REMEMBERED_PERIODS = 2.0 * _REFLECTED_PERIODS
+# The slowest cut-off, as a part of the sampling rate: rounding changes an eighth order by 2e-6.
+_SLOWEST = 1e-6
 # Samples that are filtered by one product, and samples kept of one: their windows overlap, so that
 # fewer would read the signal more often and more would multiply more zeros.
 _BLOCK, _TOGETHER = 64, 16
@@ -43,8 +45,8 @@ def zero_phase(
 
     **Raises**
 
-    - `ValueError`: a cut-off that is not between 0 and half the sampling rate, or fewer samples
-        than the filter needs to start from.
+    - `ValueError`: a cut-off that is not from 1e-6 times to half the sampling rate, or fewer
+        samples than the filter needs to start from.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import zero_phase
@@ -66,10 +68,11 @@ def zero_phase(
 
 
 def _check(samples: int, interval: float, cutoff: float, order: int) -> None:
-    if not 0.0 < cutoff < 0.5 / interval:
+    rate = 1.0 / interval
+    if not _SLOWEST * rate <= cutoff < 0.5 * rate:
         raise ValueError(
-            f"cut-off is {cutoff} Hz; expected more than 0 and less than half the sampling rate "
-            f"of {1.0 / interval:.6g} Hz"
+            f"cut-off is {cutoff} Hz; expected at least {_SLOWEST:g} times and less than half the"
+            f" sampling rate of {rate:.6g} Hz"
         )
     fewest = 3 * (order + 1)
     if samples < fewest:
@@ -199,6 +202,11 @@ def decimated_low_pass(
     _check(rows.shape[1], interval, cutoff, order)
     if not kept.size:
         return np.zeros((len(rows), 0))
+    if _REMEMBERED_PERIODS / (cutoff * interval) > rows.shape[1]:
+        # The impulse response would be longer than the record.
+        return zero_phase(np.asarray(rows, float).T, interval, cutoff=cutoff, order=order).T[
+            :, kept
+        ]
     weights = _impulse_response(order, cutoff * interval)
     reach = len(weights) // 2
     extended = _extended(np.asarray(rows, float), reach)

@@ -33,6 +33,7 @@ def read_files(
     file = identification_file(path)
     document = _document(file, "identification")
     fit = _fit(document, file)
+    _check_texts(document, file)
     settings = load_settings(file) if "settings" in document else None
     charts = file.parent / "charts.json"
     if file.name == "identification.json" and charts.exists():
@@ -89,6 +90,16 @@ def _document(path: Path, kind: str) -> dict[str, Any]:
     return document
 
 
+def _check_texts(document: Mapping[str, Any], path: Path) -> None:
+    model = document.get("model")
+    for entries in (document, model if isinstance(model, dict) else {}):
+        for name in ("joints", "expressions", "units", "labels", "groups", "lines"):
+            texts = entries.get(name)
+            if isinstance(texts, list) and not all(isinstance(text, str) for text in texts):
+                wrong = next(text for text in texts if not isinstance(text, str))
+                raise ValueError(f"{path}: {name}: expected texts, got {wrong!r}")
+
+
 def _fit(document: Mapping[str, Any], path: Path) -> Identification:
     """**Raises** `ValueError` for numbers that no robot has, and that would overflow."""
     try:
@@ -103,6 +114,10 @@ def _fit(document: Mapping[str, Any], path: Path) -> Identification:
     for name in ("covariance", "independent_covariance"):
         if np.any(np.abs(np.asarray(getattr(fit, name))) > _LARGEST**2):
             raise ValueError(f"{path}: {name}: expected variances below {_LARGEST**2:g}")
+    if not float(fit.degrees_of_freedom) >= 0.0:
+        raise ValueError(
+            f"{path}: degrees_of_freedom is {float(fit.degrees_of_freedom):g}; expected 0 or more"
+        )
     return fit
 
 

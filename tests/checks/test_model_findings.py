@@ -206,3 +206,9 @@ class TestChannels:
     def test_stop(self) -> None:
         stopped = np.minimum(self.motion, np.array([1.2, 9.0]))
         assert self.kinds(stopped, self.torque) == [("stop", "a")]
+
+    def test_samples_in_microseconds(self) -> None:
+        few = slice(0, 300)  # of a clock in seconds that was taken for milliseconds
+        time = 1e-5 * np.arange(300)
+        recording = jc.Recording(time, self.motion[few], self.torque[few])
+        assert not Channels.of(recording, ("a", "b"), "RR").findings

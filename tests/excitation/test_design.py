@@ -259,6 +259,8 @@ def test_wrong_goals_are_named() -> None:
     ("stated", "message"),
     [
         ({"velocity": -1, "position": [0, 1]}, "limit of velocity of joint 1 is -1"),
+        ({"velocity": 1e-12, "position": [0, 1]}, "joint 1 is 1e-12; expected from 1e-06 to 1e"),
+        ({"torque": 1e160, "velocity": 1, "position": [0, 1]}, "limit of torque of joint 1 is 1e"),
         ({"position": [0, 1]}, "no velocity limit of joint 1"),
         ({"velocity": 1, "position": [1, 0]}, "limits of position of joint 1 are 1 and 0"),
         ({"velocity": [1, 2], "position": [0, 1]}, "velocity: expected one number or 1"),

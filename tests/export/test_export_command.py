@@ -1,6 +1,7 @@
 """`jaxcslc export`: what it takes for an identification of a robot, and where it writes."""
 
 import json
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -177,6 +178,8 @@ def _first(document: dict[str, Any], name: str, value: Any) -> None:
             "covariance",
         ),
         (lambda document: document.update(expressions=["m1"]), "expressions"),
+        (lambda document: document.update(degrees_of_freedom=-0.1), "expected 0 or more"),
+        (lambda document: document.update(units=[math.nan]), "units: expected texts, got nan"),
         (lambda document: document.update(friction="dry"), "friction: expected a list"),
         (lambda document: document.update(coupled=[3]), "fit.json"),
         (lambda document: document.update(lengths=[["a1"]]), "lengths: expected a text or a list"),

@@ -100,6 +100,8 @@ def test_filters_that_the_record_does_not_allow() -> None:
     time = np.arange(100) * INTERVAL
     with pytest.raises(ValueError, match="less than half the sampling rate of 500 Hz"):
         Butterworth(250.0).smooth(time, np.zeros((100, 1)))
+    with pytest.raises(ValueError, match="at least 1e-06 times and less than half"):
+        Butterworth(1e-4).smooth(time, np.zeros((100, 1)))
     with pytest.raises(ValueError, match="filter order is 0"):
         Butterworth(10.0, order=0)
     with pytest.raises(ValueError, match="10 samples; expected 15 or more"):
@@ -233,6 +235,17 @@ def test_decimated_noise_is_as_good_as_white(rng: np.random.Generator) -> None:
     assert noise.size == -(-samples // decimation_for(20.0, INTERVAL))
     correlation = np.mean(noise[1:] * noise[:-1]) / np.mean(noise**2)
     assert abs(correlation) < 0.2
+
+
+@pytest.mark.parametrize("cutoff", [5.0, 0.3, 2e-4])
+def test_decimation_takes_samples_of_the_filtered_signal(
+    cutoff: float, rng: np.random.Generator
+) -> None:
+    # The last remembers ten million samples.
+    signal, kept = rng.normal(size=(2, 2000)), np.arange(5, 2000, 20)
+    filtered = decimated_low_pass(signal, kept, 0.005, cutoff=cutoff)
+    expected = zero_phase(signal.T, 0.005, cutoff=cutoff).T[:, kept]
+    np.testing.assert_allclose(filtered, expected, atol=1e-5)
 
 
 def test_decimation_follows_from_the_cutoff() -> None:
