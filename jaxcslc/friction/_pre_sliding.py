@@ -148,6 +148,10 @@ class YieldingFriction(AbstractManipulatorTerm):
     def support(self) -> tuple[tuple[int, ...], ...]:
         return self.dry.support
 
+    @property
+    def at_any_motion(self) -> AbstractManipulatorTerm:
+        return self.dry
+
     def columns(self, q: Rows, qd: Rows, qdd: Rows) -> Columns:
         self._check(q.shape[1])
         return tuple(

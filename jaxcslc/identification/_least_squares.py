@@ -64,14 +64,10 @@ class Regression(AbstractEstimator):
         if several is not None:
             problem = _less_offsets(problem, several)
         identification = problem.informed(fit.identification)
-        errors: Mapping[str, SystematicError] | None = None
+        systematic: SystematicError | None = None
         if request.systematic:
             problem.step("computing systematic errors")
-            share = (
-                None if problem.file is None else problem.file.prior.data_share(fit.identification)
-            )
-            errors = _systematic_errors(problem, identification, several, share)
-        systematic = _combined(problem, several, errors)
+            several, systematic = _with_systematic(problem, fit, identification, several)
         bodies, held_out, sentences = None, None, ()
         if previous is None:
             bodies, held_out, sentences = judged_bodies(
@@ -87,8 +83,6 @@ class Regression(AbstractEstimator):
                 systematic=systematic,
                 step=problem.step,
             )
-        if several is not None and errors is not None:
-            several, _ = several.allowing_for(errors)
         vectors: Mapping[str, Any] = {}
         if previous is not None:
             vectors = {"before": previous.k if isinstance(previous, Identification) else previous}
@@ -172,6 +166,23 @@ def _cross_validated(problem: Problem, fit: Fit, several: SeveralFit | None) -> 
     )
 
 
+def _with_systematic(
+    problem: Problem, fit: Fit, identification: Identification, several: SeveralFit | None
+) -> tuple[SeveralFit | None, SystematicError]:
+    """Return the systematic error of a fit, and a fit of several recordings that allows for theirs.
+
+    - `identification`: the fit with what is known beforehand; what is fixed has no error.
+    """
+    share = None if problem.file is None else problem.file.prior.data_share(fit.identification)
+    errors = _systematic_errors(problem, identification, several, share)
+    if several is None:
+        (error,) = errors.values()
+    else:
+        several, error = several.allowing_for(errors, share)
+    fixed = [i for i, entry in problem.known.items() if entry.fixed]
+    return several, error.without(fixed)
+
+
 def _systematic_errors(
     problem: Problem,
     identification: Identification,
@@ -194,17 +205,6 @@ def _systematic_errors(
         )
         for name, x in listed.items()
     }
-
-
-def _combined(
-    problem: Problem, several: SeveralFit | None, errors: Mapping[str, SystematicError] | None
-) -> SystematicError | None:
-    """The systematic error of a fit from those of its recordings, without what is fixed."""
-    if errors is None:
-        return None
-    (error,) = errors.values() if several is None else (several.allowing_for(errors)[1],)
-    fixed = [i for i, entry in problem.known.items() if entry.fixed]
-    return error.without(fixed)
 
 
 @dataclasses.dataclass(frozen=True)

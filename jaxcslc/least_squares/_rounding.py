@@ -6,6 +6,7 @@ that follow others. What is left is rounding, whose coefficient would be a torqu
 
 import dataclasses
 
+import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
@@ -55,6 +56,9 @@ def rounding_of(
     joined = (np.concatenate(pair) for pair in zip(motion, changed, strict=True))
     both = joined_patterns([some, some])
     both = dataclasses.replace(both, **dict(zip(("q", "qd", "qdd"), joined, strict=True)))
+    terms = tuple(term.at_any_motion for term in network.terms)
+    if any(term is not before for term, before in zip(terms, network.terms, strict=True)):
+        network = eqx.tree_at(lambda whole: whole.terms, network, terms)
     halves = (np.split(of_joint, 2, axis=1) for of_joint in columns_of(network, both))
     return tuple(
         tuple(np.sqrt(np.mean((before - after) ** 2, axis=1)).tolist()) for before, after in halves

@@ -346,13 +346,14 @@ class CSLC(AbstractLinearNetwork):
             kinds = self.friction_per_joint[joint - 1]
             remaining = (other for other in kinds if other != kind)
             robot = robot.with_friction(*remaining, joint=independent[joint - 1] + 1)
-        changed = {term.kind: term for term in input_terms(robot, self._rigid_term)}
         terms: list[AbstractManipulatorTerm] = []
         for term in self.terms:
             if term.kind != kind:
                 terms.append(term)
-            elif isinstance(term, LoadFriction) and kind in changed:
-                terms.append(dataclasses.replace(changed[kind], load=term.load))
+            elif isinstance(term, LoadFriction):
+                changed = {fewer.kind: fewer for fewer in input_terms(robot, self._rigid_term)}
+                if kind in changed:
+                    terms.append(dataclasses.replace(changed[kind], load=term.load))
             elif isinstance(term, JointTerm) and (fewer := JointTerm.of(term.law, robot)).size:
                 terms.append(fewer)
         return self._with_terms(terms, robot)

@@ -4,9 +4,11 @@ In: a fit, its patterns and others. Out: figures of how far the coefficients can
 
 - `_held_out`: errors on data that was not fitted, and what is beyond chance.
 - `_systematic_error`: errors by smoothing, timing and missing terms.
+- `_drift`: how much coefficients differ from recording to recording.
 - `_several`: joint fit of several recordings, and whether they agree.
 """
 
+from ._drift import Drift as Drift, drift_text as drift_text
 from ._held_out import (
     FEWEST_SAMPLES as FEWEST_SAMPLES,
     FOLDS as FOLDS,
@@ -20,6 +22,7 @@ from ._held_out import (
     judged_errors as judged_errors,
 )
 from ._several import (
+    DRIFT as DRIFT,
     RecordingAgreement as RecordingAgreement,
     SeveralFit as SeveralFit,
     fit_recordings as fit_recordings,
@@ -36,6 +39,7 @@ from ._systematic_error import (
 
 
 __all__ = [
+    "Drift",
     "HeldOut",
     "RecordingAgreement",
     "RelativeError",

@@ -24,8 +24,9 @@ from ..least_squares import (
 )
 from ..network import AbstractLinearNetwork
 from ..recordings import Patterns
+from ._drift import Drift, drift_of
 from ._held_out import CHANCE
-from ._systematic_error import SystematicError
+from ._systematic_error import SystematicError, standard_uncertainty
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -268,6 +269,39 @@ def _precision(fit: Identification) -> np.ndarray:
     return np.where(usable, 1.0 / np.where(usable, error, 1.0) ** 2, 0.0)
 
 
+DRIFT = "drift between recordings"
+"""What the part of a systematic error is called that makes intervals hold for other recordings."""
+
+
+def _drift(
+    network: AbstractLinearNetwork,
+    fit: Identification,
+    alone: Mapping[str, Identification],
+    error: SystematicError | None = None,
+    errors: Mapping[str, SystematicError] | None = None,
+) -> Drift:
+    """How far recordings differ beyond the errors of their fits, systematic ones if they are known.
+
+    - `error`: of the common fit; `errors`: by recording, of its own fit.
+    """
+    own = [
+        np.where(
+            np.asarray(some.determined),
+            standard_uncertainty(some, None if errors is None else errors[name]),
+            np.inf,
+        )
+        for name, some in alone.items()
+    ]
+    return drift_of(
+        network,
+        np.asarray(fit.k),
+        standard_uncertainty(fit, error),
+        np.array([np.asarray(some.k) for some in alone.values()]),
+        np.array(own),
+        min(float(some.degrees_of_freedom) for some in alone.values()),
+    )
+
+
 # Rounds of weighting each joint of each recording by its residual: two change no weight by 1 %.
 _ROUNDS = 2
 
@@ -278,6 +312,7 @@ class SeveralFit:
 
     **Attributes**
 
+    - `network`: n joints, p coefficients.
     - `fit`: of all of them.
     - `patterns`: by recording, less its torque offsets.
     - `offsets`: by recording, (n,) constant torques that were fitted along; zero if not asked for.
@@ -285,8 +320,10 @@ class SeveralFit:
     - `alone`: by recording, the fit of it by itself.
     - `without`: by recording, the fit of the others.
     - `agreement`: of the recordings.
+    - `drift`: how much coefficients differ from recording to recording.
     """
 
+    network: AbstractLinearNetwork
     fit: Identification
     patterns: Mapping[str, Patterns]
     offsets: Mapping[str, Float[np.ndarray, " joints"]]
@@ -294,13 +331,19 @@ class SeveralFit:
     alone: Mapping[str, Identification]
     without: Mapping[str, Identification]
     agreement: RecordingAgreement
+    drift: Drift
 
     def allowing_for(
-        self, errors: Mapping[str, SystematicError]
+        self,
+        errors: Mapping[str, SystematicError],
+        share: Float[np.ndarray, "coefficients coefficients"] | None = None,
     ) -> tuple["SeveralFit", SystematicError]:
         """Return the fit with an agreement that allows for systematic errors, and the fit's own.
 
+        The latter has the drift between recordings as one of its parts.
+
         - `errors`: by recording, of its fit in `alone`.
+        - `share`: what coefficients change by with those of a fit without prior knowledge.
         """
         difference: dict[str, np.ndarray] = {}
         for name in self.alone:
@@ -316,8 +359,11 @@ class SeveralFit:
                 }
             ),
         )
-        changed = dataclasses.replace(self, agreement=agreement)
-        return changed, combined_systematic(self.alone, errors)
+        own = combined_systematic(self.alone, errors)
+        drift = _drift(self.network, self.fit, self.alone, own, errors)
+        changed = dataclasses.replace(self, agreement=agreement, drift=drift)
+        part = drift.allowance if share is None else drift.allowance * np.abs(np.diag(share))
+        return changed, SystematicError(MappingProxyType({**own.parts, DRIFT: part}))
 
     def document(self) -> dict[str, Any]:
         """Return the entries of a report about each recording, as plain data."""
@@ -411,6 +457,7 @@ def fit_recordings(
         others[name] = alone[remaining[0]] if single else fitted(weights, remaining)
     offset_torques = {name: equations[name].offsets(fit) for name in names}
     return SeveralFit(
+        network,
         fit,
         MappingProxyType(
             {
@@ -425,6 +472,7 @@ def fit_recordings(
         MappingProxyType(alone),
         MappingProxyType(others),
         agreement_of(network, equations, alone, others),
+        _drift(network, fit, alone),
     )
 
 

@@ -49,6 +49,19 @@ def patterns(network: jc.CSLC, k: np.ndarray, noise: float, seed: int = 0) -> jc
     return jc.Patterns(TIME[:, 0], *motion(), torque, everything, everything)
 
 
+def test_static_friction_that_the_motion_does_not_show_is_dropped() -> None:
+    """Its slopes are searched for in linear equations, whose rigid bodies carry the load."""
+    network, k = truth("viscous", "dry", "load")
+    richer = network.with_joint_friction([("viscous", "dry", "static", "load")] * 2)
+    exact = patterns(network, k, 1e-6)
+    fast = np.abs(np.asarray(exact.qd)) > 0.3
+    motion_of = exact.time, exact.q, exact.qd, exact.qdd, exact.torque
+    result = fit_load(richer, jc.Patterns(*motion_of, fast, fast))
+    assert result.slopes is not None and result.slopes.dropped
+    assert "static" not in result.network.robot.friction_terms
+    assert_allclose(result.fit.k, k, atol=1e-3)
+
+
 @pytest.mark.parametrize("kinds", [("viscous", "dry"), ("viscous", "dry", "static")])
 def test_exact_recordings_give_the_truth(kinds: tuple[str, ...]) -> None:
     network, k = truth(*kinds, "load")

@@ -8,7 +8,7 @@ import scipy
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.friction import contact_states, fit_pre_sliding
+from jaxcslc.friction import along_motion, contact_states, fit_pre_sliding
 from jaxcslc.instruments import simulate
 from tests import arms
 from tests.yielding_motion import yielding_motion
@@ -73,6 +73,19 @@ def test_length_and_coefficients_of_a_simulated_joint(swing: tuple[np.ndarray, .
     plain = jc.LeastSquares().fit(model, pairs)
     assert np.all(result.fit.torque_error < 0.5 * plain.torque_error)
     assert result.relative[1].change < np.log(0.7)
+
+
+def test_columns_that_nearly_vanish_for_a_while(swing: tuple[np.ndarray, ...]) -> None:
+    """What rounding makes of columns is measured at some samples; the state has all of them."""
+    time, q, qd, qdd, torque, _ = swing
+    still = np.where(time[:, None] < 2.0, 1e-15, 1.0)
+    everything = np.ones(q.shape, bool)
+    pairs = jc.Patterns(time, q, still * qd, qdd, torque, everything, everything)
+    model = arms.pendulum("viscous", "dry")
+    along = along_motion(model, pairs, np.array([LENGTH]))
+    fit = jc.LeastSquares().fit(along, pairs)
+    rows = np.asarray(along.regressor(pairs.q, pairs.qd, pairs.qdd))[:, 0]
+    assert_allclose(fit.k, np.linalg.lstsq(rows, torque[:, 0])[0], rtol=1e-6)
 
 
 def test_slow_pairs_that_are_judged_but_not_fitted(swing: tuple[np.ndarray, ...]) -> None:

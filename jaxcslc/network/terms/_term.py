@@ -66,6 +66,11 @@ class AbstractTerm(eqx.Module):
         """True if `columns` computes NumPy's arrays by NumPy, so that nothing is compiled."""
         return False
 
+    @property
+    def at_any_motion(self) -> "AbstractTerm":
+        """A term of the same columns that has them at any motion; of most terms itself."""
+        return self
+
     @abc.abstractmethod
     def columns(self, q: Rows, qd: Rows, qdd: Rows) -> Columns:
         """Compute each joint's regressor columns in its `support`, as rows: (support, samples).

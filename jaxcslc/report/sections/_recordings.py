@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from jaxcslc.checks import SPOILING_KINDS, DataCheck, Finding
 from jaxcslc.recordings import Patterns
-from jaxcslc.uncertainty import several_text
+from jaxcslc.uncertainty import SeveralFit, drift_text, several_text
 
 from .._charts import Curve, Panel, PanelChart, envelope, intervals, rounded
 from .._coefficients import ModelDescription
@@ -137,15 +137,20 @@ class RecordingSection(AbstractSection):
 
 
 class SeveralSection(AbstractSection):
-    """Noise and offsets of each recording, and coefficients in which it differs."""
+    """Noise and offsets of each recording, coefficients in which it differs, and which drift."""
 
     name = "several"
     results = MappingProxyType({"several": None})
-    entries = MappingProxyType({"recordings": dict})
+    entries = MappingProxyType({"recordings": dict, "drift": dict})
     position = 32
 
+    @classmethod
+    def document_of(cls, result: SeveralFit, report: AnyReport) -> Mapping[str, Any]:
+        return {"recordings": result.document(), "drift": result.drift.document()}
+
     def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
-        yield [several_text(self.data["recordings"])]
+        drift = (drift_text(self.data["drift"]),) if "drift" in self.data else ()
+        yield [several_text(self.data["recordings"]), *drift]
 
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         model = report.model
@@ -163,7 +168,10 @@ class SeveralSection(AbstractSection):
             for name, entry in self.data["recordings"].items()
         )
         caption = "Training recordings, each compared with all others together"
-        yield Section("Data check", "", [Table(tuple(columns), rows, caption, "several")])
+        blocks: list[AbstractBlock] = [Table(tuple(columns), rows, caption, "several")]
+        if "drift" in self.data:
+            blocks.append(Messages((Message(drift_text(self.data["drift"]), "plain"),)))
+        yield Section("Data check", "", blocks)
 
 
 class CurveSection(AbstractSection):

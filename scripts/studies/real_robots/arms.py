@@ -20,6 +20,8 @@ class Arm(NamedTuple):
 
     - `source`: where the recordings are published.
     - `split`: in words.
+    - `typed`: what the command is told of the robot: a file, or a name.
+    - `ends`: what is not judged of a recording, at either end [s].
     """
 
     robot: jc.Manipulator
@@ -27,6 +29,8 @@ class Arm(NamedTuple):
     tests: Mapping[str, Recording]
     source: str
     split: str
+    typed: str = ""
+    ends: float = 0.0
 
 
 def kr300(folder: Path) -> Arm:
@@ -38,6 +42,22 @@ def kr300(folder: Path) -> Arm:
         {"B": second, "C": third},
         "JonasWeigand/Robot_Identification, MIT licence",
         "motion A is fitted, B and C are judged; 2,501 samples at 250 Hz each",
+        str(folder / "kr300.toml"),
+    )
+
+
+def lwr4(folder: Path) -> Arm:
+    """KUKA LWR4+: joint positions and joint torques; its URDF has inertial parameters."""
+    first, second, third = (jc.load_recording(folder / f"hw{number}.csv") for number in (1, 2, 3))
+    return Arm(
+        jc.load_robot(folder / "kuka_lwr4.urdf"),
+        first,
+        {"hw3": third, "hw2": second},
+        "kjyv/FloBaRoID, LGPL-3.0",
+        "hw1 is fitted, hw3 (faster) and hw2 (the same motion again) are judged but for 0.2 s at"
+        " either end; 5,027 samples at 200 Hz each",
+        str(folder / "kuka_lwr4.urdf"),
+        ends=0.2,
     )
 
 
@@ -54,6 +74,7 @@ def panda(folder: Path) -> Arm:
         {"last third": even.between(cut, end).rows(every)},
         "marcocognetti/FrankaEmikaPandaDynModel, GPL-3.0",
         "the first two thirds of 21 s are fitted, the last third is judged; resampled to 200 Hz",
+        "panda",
     )
 
 
@@ -67,11 +88,13 @@ def staubli(folder: Path) -> Arm:
         {"last third": recording.rows(staubli_tx40.JUDGED).rows(every)},
         "thanhndv212/figaroh-examples, Apache-2.0",
         "rows 0 to 24,750 are fitted, 29,250 to 45,000 judged; every tenth, 500 Hz",
+        "tx40",
     )
 
 
 READERS: Mapping[str, tuple[str, Callable[[Path], Arm]]] = {
     "KUKA KR300": ("kuka_kr300", kr300),
+    "KUKA LWR4+": ("kuka_lwr4", lwr4),
     "Franka Panda": ("franka_panda", panda),
     "Stäubli TX40": ("staubli_tx40", staubli),
 }

@@ -6,6 +6,10 @@ about as large as its standard error, the root of both fits' variances. The tabl
 and the root mean square of difference over standard error, and how many differences are within
 1.96, for standard errors of independent residuals, for those of correlated ones (a sandwich, the
 default), and with systematic errors beside them (the bias of smoothing, timing, missing terms).
+
+The last two rows are of the common fit of all recordings but one, compared with the fit of that
+one: with systematic errors, and with the drift between recordings that the others show
+(`jaxcslc.uncertainty.Drift`).
 """
 
 from collections.abc import Sequence
@@ -15,7 +19,13 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.uncertainty import standard_uncertainty, systematic_error
+from jaxcslc.uncertainty import (
+    DRIFT,
+    SystematicError,
+    fit_recordings,
+    standard_uncertainty,
+    systematic_error,
+)
 from scripts.studies import command
 from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm
@@ -25,6 +35,7 @@ from scripts.studies.real_robots.methods import without_static
 jc.enable_x64()
 
 KINDS = ("independent", "correlated", "correlated and systematic")
+OF_OTHERS = ("common fit of others, systematic", "common fit of others, drift")
 _WITHIN = 1.96
 
 
@@ -43,10 +54,11 @@ def deviations_of(arm: Arm) -> dict[str, Float[np.ndarray, " differences"]]:
     parts = parts_of(arm)
     settings = jc.choose_settings(network, parts[0]).settings
     fits: list[tuple[jc.Identification, dict[str, np.ndarray]]] = []
-    for part in parts:
-        patterns = settings.patterns(part)
-        fit = settings.fit(network, patterns)
-        error = systematic_error(network, part, settings, fit)
+    patterns = {str(number): settings.patterns(part) for number, part in enumerate(parts)}
+    errors: dict[str, SystematicError] = {}
+    for (number, motion), part in zip(patterns.items(), parts, strict=True):
+        fit = settings.fit(network, motion)
+        errors[number] = error = systematic_error(network, part, settings, fit)
         independent = np.sqrt(np.diag(np.asarray(fit.independent_covariance)))
         fits.append(
             (
@@ -58,12 +70,22 @@ def deviations_of(arm: Arm) -> dict[str, Float[np.ndarray, " differences"]]:
                 },
             )
         )
-    deviations: dict[str, list[np.ndarray]] = {kind: [] for kind in KINDS}
+    deviations: dict[str, list[np.ndarray]] = {kind: [] for kind in (*KINDS, *OF_OTHERS)}
     for (first, of_first), (second, of_second) in combinations(fits, 2):
         both = np.asarray(first.determined) & np.asarray(second.determined)
         for kind in KINDS:
             error = np.hypot(of_first[kind], of_second[kind])
             deviations[kind].append((np.abs(np.asarray(first.k - second.k)) / error)[both])
+    for left, (fit, own) in zip(patterns, fits, strict=True):
+        others = {number: motion for number, motion in patterns.items() if number != left}
+        several = fit_recordings(network, others, settings.solver)
+        _, whole = several.allowing_for({number: errors[number] for number in others})
+        known = SystematicError({cause: x for cause, x in whole.parts.items() if cause != DRIFT})
+        both = np.asarray(several.fit.determined) & np.asarray(fit.determined)
+        difference = np.abs(np.asarray(several.fit.k - fit.k))
+        for kind, allowed in zip(OF_OTHERS, (known, whole), strict=True):
+            error = np.hypot(standard_uncertainty(several.fit, allowed), own[KINDS[-1]])
+            deviations[kind].append((difference / error)[both])
     return {kind: np.concatenate(values) for kind, values in deviations.items()}
 
 

@@ -1,15 +1,14 @@
 """Real arms: torque errors on motion that was not fitted, by ways of this library and of others.
 
-Every recording is divided once and for all (`arms.py`), and every method identifies by its
-defaults: nothing is chosen on the motion that is judged. Methods:
+Every recording is divided once and for all (`arms.py`), and nothing is chosen on the motion that is
+judged. Methods:
 
 - **usual pipeline**: 20 Hz Butterworth of order 4, zero phase, on positions and torques, central
-  differences, ordinary or weighted least squares.
-- **least-squares**, **maximum-likelihood**: `jaxcslc identify --estimator`, coefficients of the
-  free fit, or of the possible bodies that are nearest to it.
-- **friction auto**: `--friction auto`, terms and states of dry friction that help within the
-  training recording.
-- **auto**: `--estimator auto --physical auto`, judged within the training recording.
+  differences, ordinary or weighted least squares, without and with torque offsets. Where the
+  robot's file has masses, also with a ridge towards them.
+- **identify**: the command as typed, `jaxcslc identify ROBOT RECORDING`, in a process of its own.
+- **identify, ...**: the same with `--estimator maximum-likelihood`, `--friction auto` or
+  `--quality best`.
 
 The error is 100 |e| / |torque| of each joint, of the raw torque, over all samples and over those
 that the settings' masks leave in. All are judged on the same motion, smoothed as `jaxcslc identify`
@@ -39,7 +38,7 @@ from jaxcslc.report import predicted_torque, write_csv
 from scripts.studies import command
 from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm, read
-from scripts.studies.real_robots.methods import FAMILIES, USUAL, Model
+from scripts.studies.real_robots.methods import FAMILIES, PIPELINE, Model, evenly
 from scripts.studies.real_robots.page import page_text
 from scripts.studies.rows import Rows, made_of
 
@@ -47,7 +46,12 @@ from scripts.studies.rows import Rows, made_of
 jc.enable_x64()
 
 # Seconds on two cores, all methods.
-SECONDS = {"KUKA KR300": 150.0, "Franka Panda": 900.0, "Stäubli TX40": 220.0}
+SECONDS = {
+    "KUKA KR300": 100.0,
+    "KUKA LWR4+": 250.0,
+    "Franka Panda": 200.0,
+    "Stäubli TX40": 200.0,
+}
 
 
 def torque_of(
@@ -69,30 +73,42 @@ def torque_of(
 
 
 def errors_of(
-    model: Model, settings: jc.Settings, recording: Recording, *, by_sign: bool = False
+    model: Model,
+    settings: jc.Settings,
+    recording: Recording,
+    *,
+    by_sign: bool = False,
+    ends: float = 0.0,
 ) -> dict[str, list[float]]:
-    """In percent of the raw torque, joint by joint: over all samples, and over judged ones."""
+    """In percent of the raw torque, joint by joint: over all samples, and over judged ones.
+
+    - `ends`: left out at either end [s].
+    """
     patterns = settings.patterns(recording)
     torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
     error = torque - torque_of(model, patterns, by_sign=by_sign)
+    first, *_, last = (time := np.asarray(patterns.time))
+    inside = ((time >= first + ends) & (time <= last - ends))[:, None]
     shares = {}
-    for name, counts in (("all", np.ones_like(mask)), ("judged", mask)):
+    for name, counts in (("all", np.ones_like(mask) & inside), ("judged", mask & inside)):
         left, whole = (np.sum(np.where(counts, x, 0.0) ** 2, axis=0) for x in (error, torque))
         ratio = np.where(whole > 0.0, left / np.where(whole > 0.0, whole, 1.0), np.nan)
         shares[name] = (100.0 * np.sqrt(ratio)).tolist()
-    return shares | {"share": (100.0 * mask.mean(axis=0)).tolist()}
+    return shares | {"share": (100.0 * mask[inside[:, 0]].mean(axis=0)).tolist()}
 
 
-def judged(model: Model, common: jc.Settings, recording: Recording) -> dict[str, list[float]]:
+def judged(
+    model: Model, common: jc.Settings, recording: Recording, ends: float = 0.0
+) -> dict[str, list[float]]:
     """Errors on the common motion; of the usual pipeline as its errors are least: there or on its
     own motion, with friction at rest as ours or by the sign of velocity."""
     raw = common.with_options(torque_alignment="sample", smooth_torque=False)
-    if not any(model.method.endswith(name) for name in USUAL):
-        return errors_of(model, raw, recording)
+    if not model.method.startswith(PIPELINE):
+        return errors_of(model, raw, recording, ends=ends)
     own_motion = raw.with_options(smoothing=model.settings.preparation.smoothing)
     ways = [
-        errors_of(model, settings, recording, by_sign=by_sign)
-        for settings in (raw, own_motion)
+        errors_of(model, settings, motion, by_sign=by_sign, ends=ends)
+        for settings, motion in ((raw, recording), (own_motion, evenly(recording)))
         for by_sign in (False, True)
     ]
     return min(ways, key=lambda values: sum(values["all"]))
@@ -103,7 +119,7 @@ def rows_of(name: str, arm: Arm, families: Sequence[str]) -> list[dict[str, Any]
     models: list[Model] = []
     for family in families:
         models += FAMILIES[family](arm)
-    common = next((m.settings for m in models if m.method == "least-squares"), models[0].settings)
+    common = next((m.settings for m in models if m.method == "identify"), jc.Settings())
     return [
         {
             "arm": name,
@@ -111,7 +127,7 @@ def rows_of(name: str, arm: Arm, families: Sequence[str]) -> list[dict[str, Any]
             "method": model.method,
             "seconds": model.seconds,
             "note": model.note,
-            **judged(model, common, recording),
+            **judged(model, common, recording, arm.ends),
         }
         for model in models
         for test, recording in arm.tests.items()
