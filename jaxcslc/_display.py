@@ -1,7 +1,10 @@
-"""Tables and charts of data for notebooks: HTML, and figures of plotly, which is an extra."""
+"""Tables, charts and progress for notebooks and prompts; figures of plotly, which is an extra."""
 
+import contextlib
 import html
-from collections.abc import Mapping, Sequence
+import sys
+import warnings
+from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -93,3 +96,33 @@ def _legend(name: str, number: int, row: int) -> dict[str, Any]:
         "showlegend": row == 1,
         "marker": {"color": colour},
     }
+
+
+Progress = Callable[[str], None] | bool | None
+
+
+@contextlib.contextmanager
+def steps(progress: Progress, title: str) -> Generator[Callable[[str], None]]:
+    """Yield a function to be called with a few words at the start of each step.
+
+    - `progress`: such a function itself; True shows steps in a line of `tqdm`, which disappears at
+      the end; False shows none; None shows them in notebooks and at Python's prompt, and none in
+      programs. The environment variable `TQDM_DISABLE=1` turns all such lines off.
+    - `title`: what is computed.
+
+    >>> with steps(print, "identify") as step:
+    ...     step("fitting coefficients")
+    fitting coefficients
+    """
+    if callable(progress):
+        yield progress
+    elif progress or (progress is None and hasattr(sys, "ps1")):
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="IProgress")  # tqdm then writes text
+            from tqdm.auto import tqdm
+
+            bar = tqdm(desc=title, bar_format="{desc} ({elapsed})", leave=False)
+        with bar:
+            yield lambda words: bar.set_description_str(f"{title}: {words}")
+    else:
+        yield lambda words: None

@@ -1,9 +1,15 @@
-"""Frozen records as plain data, and back: what JSON can hold of a dataclass by its annotations."""
+"""Frozen records as plain data, and back: what JSON can hold of a dataclass by its annotations.
+
+`toml_document` reads TOML files, and `check_field_types` checks entries of settings.
+"""
 
 import dataclasses
 import math
+import os
+import tomllib
 import types
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -112,3 +118,120 @@ def _alternative(parts: tuple[Any, ...], document: Any) -> Any:
 
     kinds = [part for part in parts if part is not type(None)]
     return next((part for part in kinds if fits(part)), kinds[0])
+
+
+# How a person says what a field expects.
+_NAMES = {float: "a number", int: "a whole number", bool: "true or false", str: "a text"}
+
+
+def check_field_types(kind: type, values: Mapping[str, Any], prefix: str) -> None:
+    """Check entries of a file against the annotations of the class that they will make.
+
+    Only what a file can hold is checked: numbers, texts, lists and what is absent. Names that the
+    class does not have, and what its constructor checks itself, are left to it.
+
+    **Arguments**
+
+    - `kind`: a dataclass or `equinox.Module`.
+    - `values`: its fields by name, lists as tuples.
+    - `prefix`: of the message, such as `"settings"`.
+
+    **Raises**
+
+    - `ValueError`: naming the entry, what was expected and what it is.
+
+    >>> from jaxcslc.recordings import Preparation
+    >>> check_field_types(Preparation, {"trim": "x"}, "settings")
+    Traceback (most recent call last):
+    ValueError: settings, trim: expected a whole number or nothing, got 'x'
+    """
+    hints = get_type_hints(kind)
+    for name, value in values.items():
+        if name in hints and not _fits(value, hints[name]):
+            raise ValueError(
+                f"{prefix}, {name}: expected {_described(hints[name])}, got {_shown(value)}"
+            )
+
+
+def _alternatives(hint: Any) -> tuple[Any, ...]:
+    if get_origin(hint) in (Union, types.UnionType):
+        return tuple(one for part in get_args(hint) for one in _alternatives(part))
+    return (hint,)
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    return any(_fits_one(value, one) for one in _alternatives(hint))
+
+
+def _fits_one(value: Any, hint: Any) -> bool:
+    if get_origin(hint) is Literal:
+        # A wrong text is the constructor's to refuse: it says which there are.
+        return isinstance(value, str)
+    if get_origin(hint) is tuple:
+        entry = get_args(hint)[0]
+        return isinstance(value, tuple) and all(_fits(part, entry) for part in value)
+    if hint is float:
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    if hint is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    if hint in (str, bool, type(None)):
+        return isinstance(value, hint)
+    return True
+
+
+def _described(hint: Any) -> str:
+    words: list[str] = []
+    for one in _alternatives(hint):
+        if get_origin(one) is tuple:
+            words.append("a list of numbers")
+        elif get_origin(one) is Literal:
+            words.append(" or ".join(map(repr, get_args(one))))
+        else:
+            words.append("nothing" if one is type(None) else _NAMES.get(one, "an entry"))
+    return " or ".join(dict.fromkeys(words))
+
+
+def _shown(value: Any) -> str:
+    return repr(list(value) if isinstance(value, tuple) else value)
+
+
+def toml_document(
+    path: str | os.PathLike[str], what: str, error: type[ValueError]
+) -> dict[str, Any]:
+    """Return the content of a TOML file, or one table of it.
+
+    **Arguments**
+
+    - `path`: of the file, in UTF-8. If it ends in `#` and a name, the table of that name is read.
+    - `what`: the file is, for the message if it is missing, as in `"robot file"`.
+    - `error`: the class of what is raised.
+
+    **Raises**
+
+    - `error`: the file is missing, cannot be read, or is not valid TOML; one line that names it.
+      Also if it has no such table.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "arm.toml"
+    ...     _ = file.write_text("a = 0.5", encoding="utf-8")
+    ...     toml_document(file, "robot file", ValueError)
+    ...     _ = file.write_text("[columns]\\nunit = 'deg'", encoding="utf-8")
+    ...     toml_document(f"{file}#columns", "file of columns", ValueError)
+    {'a': 0.5}
+    {'unit': 'deg'}
+    """
+    whole, _, name = str(path).rpartition("#")
+    if whole.endswith(".toml"):
+        table = toml_document(whole, what, error).get(name)
+        if not isinstance(table, dict):
+            raise error(f"{whole}: has no table {name!r}")
+        return table
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise error(f"{path}: no such {what}") from None
+    except (OSError, UnicodeDecodeError) as reason:
+        raise error(f"{path}: cannot be read: {reason}") from None
+    except (tomllib.TOMLDecodeError, RecursionError) as reason:
+        raise error(f"{path}: not valid TOML: {reason}") from None

@@ -1,6 +1,15 @@
-"""Plain-text tables with aligned columns, for reports in a terminal."""
+"""Plain-text tables, and texts of users where they could do harm: in terminals and spreadsheets.
 
-from collections.abc import Sequence
+Names of robots, joints, columns and files come from files of strangers. A terminal obeys control
+characters in them, and a spreadsheet computes what looks like a formula.
+"""
+
+import csv
+import io
+import math
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 
 def text_table(
@@ -24,3 +33,35 @@ def text_table(
         ).rstrip()
         for row in (header, *rows)
     )
+
+
+# Control characters, except the end of a line, and those that change the direction of writing.
+_CONTROLS = re.compile(
+    "[\x00-\x09\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]"
+)
+_FORMULA = re.compile(r"[=+@\t\r]|-.*[(|!]", re.DOTALL)
+
+
+def printable(text: str) -> str:
+    r"""Return a text, of one line or more, with all that a terminal would obey as JSON escapes it.
+
+    >>> printable("joint \x1b[2J\u202e")
+    'joint \\u001b[2J\\u202e'
+    """
+    return _CONTROLS.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def csv_line(cells: Iterable[Any]) -> str:
+    """Return a line of CSV without its end: quoted where it must be, and no formulas.
+
+    Texts that a spreadsheet would compute begin with an apostrophe, which it takes for a text's.
+    Numbers that are not finite are empty cells, as JSON has null for them.
+
+    >>> print(csv_line(["joint 1", "left,right", "=1+1", -2.5]))
+    joint 1,"left,right",'=1+1,-2.5
+    """
+    texts = [f"'{x}" if isinstance(x, str) and _FORMULA.match(x) else x for x in cells]
+    texts = ["" if isinstance(x, float) and not math.isfinite(x) else x for x in texts]
+    line = io.StringIO()
+    csv.writer(line).writerow(texts)  # which quotes the characters of its line's end, too
+    return line.getvalue().removesuffix("\r\n")

@@ -21,22 +21,15 @@ ROOT = Path(__file__).parents[1]
 
 # What every folder may import: modules beside the folders, which import nothing of ours.
 COMMON = {
-    *(
-        "_bounded_search",
-        "_cache",
-        "_chunks",
-        "_display",
-        "_environment",
-        "_field_types",
-        "_plain_data",
-        "_processes",
-        "_progress",
-        "_rank",
-        "_safe_text",
-        "_scratch",
-        "_text_table",
-    ),
-    "_toml_document",
+    "_bounded_search",
+    "_cache",
+    "_display",
+    "_environment",
+    "_plain_data",
+    "_processes",
+    "_rank",
+    "_scratch",
+    "_text_table",
 }
 
 # Who may import whom, by folder of `jaxcslc`. What a folder may import, whoever imports that folder

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from jaxcslc._progress import Progress, steps
+from jaxcslc._display import Progress, steps
 
 
 def shown(progress: Progress, capsys: pytest.CaptureFixture[str]) -> str:

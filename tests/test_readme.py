@@ -38,7 +38,7 @@ def test_each_example_of_networks_runs_by_itself(
     for example in examples_of("docs/networks.md"):
         exec(compile(example, "docs/networks.md", "exec"), {})
         printed.append(capsys.readouterr().out)
-    training, size, order, computed, reidentified, several, side_by_side, pruned = printed
+    training, size, order, computed, reidentified, several, side_by_side = printed
     assert "stop set" in training or "not ended" in training
     assert size == "25 21 ('network 1', 'network 2')\n"
     assert order == "43 28 8\n"
@@ -48,7 +48,6 @@ def test_each_example_of_networks_runs_by_itself(
     assert "8 of 25 weights" in several
     assert "8 of 43 weights: 8 no further reduction" in side_by_side
     assert float(side_by_side.split()[-3]) < 0.01  # N m between trained and solved
-    assert re.search(r"of 25 weights removed", pruned)
 
 
 def test_each_example_of_friction_runs_by_itself(

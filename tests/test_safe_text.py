@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
-from jaxcslc._safe_text import csv_line, printable
+from jaxcslc._text_table import csv_line, printable
 from jaxcslc.report import write_csv
 from tests.conftest import run
 

@@ -192,7 +192,7 @@ def _expansion(bodies: int, others: int) -> Float[np.ndarray, "unknowns independ
 def _solutions(
     rows: Float[np.ndarray, "constraints unknowns"], values: Float[np.ndarray, " constraints"]
 ) -> tuple[Float[np.ndarray, " unknowns"], Float[np.ndarray, "unknowns free"]]:
-    """All x with rows @ x = values: one of them, and what can be added to it."""
+    """Return the solutions x of rows @ x = values: one of them, and what can be added to it."""
     if not len(rows):
         return np.zeros(rows.shape[1]), np.eye(rows.shape[1])
     lengths = np.linalg.norm(rows, axis=1)

@@ -121,8 +121,11 @@ _MOST = 7  # coordinates of a chart with principal axes
 
 
 class _Charts:
-    """All links' charts, those with principal axes in a few products: a search evaluates them some
-    hundred times, and link by link NumPy's calls took four fifths of its time."""
+    """Charts of all links, those with principal axes in a few products.
+
+    A search evaluates them some hundred times, and link by link NumPy's calls took four fifths of
+    its time.
+    """
 
     def __init__(self, charts: Sequence[BodyChart]) -> None:
         self.charts = charts

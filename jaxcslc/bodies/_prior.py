@@ -16,8 +16,8 @@ import numpy as np
 import scipy
 from jaxtyping import Float, Int
 
+from .._plain_data import toml_document
 from .._rank import null_vectors, pseudo_inverse
-from .._toml_document import toml_document
 from ..least_squares import RESULTS, FoldFit, Identification
 from ..manipulator import Manipulator
 from ..network import AbstractLinearNetwork

@@ -13,8 +13,8 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import Annotated, Any, get_type_hints
 
-from .._safe_text import printable
 from .._scratch import check_output_folder, check_replaceable
+from .._text_table import printable
 from ._errors import one_line_errors, show
 from ._help import ALL, help_text
 from ._options import Parameter, UsageError, Values, assign, option, parameters_of, parse

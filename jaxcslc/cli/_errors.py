@@ -6,7 +6,7 @@ import sys
 from collections.abc import Generator, Mapping
 from types import TracebackType
 
-from .._safe_text import printable
+from .._text_table import printable
 from ._help import page_address
 from ._options import UsageError
 

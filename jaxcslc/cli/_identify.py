@@ -285,7 +285,7 @@ def _estimator(options: IdentifyOptions) -> str:
 
 
 def _friction(options: IdentifyOptions, drives: Drives) -> Literal["auto", "offset"] | None:
-    """What is chosen of friction: offsets, unless terms are named."""
+    """Return the choice of friction: offsets, unless terms are named."""
     if drives.friction == "auto":
         return "auto"
     unnamed = drives.friction is None and options.previous is None and not options.offsets

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+from .._plain_data import toml_document
 from .._scratch import unfinished
-from .._toml_document import toml_document
 from ..checks import DataCheck, check
 from ..manipulator import Manipulator, RobotError
 from ..network import derive

@@ -109,7 +109,7 @@ class Parameter:
 
     @functools.cached_property
     def metavar(self) -> str:
-        """Its value, as help shows it."""
+        """Return the option's value, as help shows it."""
         if self.item is bool:
             return ""
         return self.option.metavar or "|".join(self.choices) or _SHOWN[self.item]

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from .._safe_text import printable
-from .._toml_document import toml_document
+from .._plain_data import toml_document
+from .._text_table import printable
 from ._options import Parameter, UsageError, Values
 
 

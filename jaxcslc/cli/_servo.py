@@ -32,7 +32,7 @@ _OPTIONS = {
 
 @dataclasses.dataclass(frozen=True)
 class ServoOptions:
-    """What the joints are driven by, and recordings of servos."""
+    """Drive of the joints, and recordings of servos."""
 
     drive: Annotated[
         Literal["torque", "servo"],

@@ -6,12 +6,14 @@
                                                    └──► _c_text       statements of C and CUDA C
                                                           └──► _c_function, _cuda
 
-`_compilation` says how JAX compiles: per platform, in blocks, in stages. The package knows nothing
+`_arrays` also says how JAX compiles: per platform, in blocks. The package knows nothing
 of robots and imports no other package of the project.
 """
 
 from ._arrays import (
     array_outputs as array_outputs,
+    by_platform as by_platform,
+    in_blocks as in_blocks,
     motion_outputs as motion_outputs,
     named as named,
 )
@@ -33,7 +35,6 @@ from ._c_text import (
     identifier as identifier,
     is_identifier as is_identifier,
 )
-from ._compilation import by_platform as by_platform, in_blocks as in_blocks
 from ._cuda import (
     Kernel as Kernel,
     assembly as assembly,

@@ -9,8 +9,7 @@ of them alike.
 
 Modules, in reading order:
 
-- `_controller`: base class, reference, and parts that controllers share.
-- `_pid`: PID control and gravity compensation.
+- `_controller`: base class, reference, PID control and gravity compensation.
 - `_computed_torque`: computed-torque control.
 - `_velocity_estimation`: control without tachometers.
 - `_protection`: wrappers for limits and faults.
@@ -22,16 +21,14 @@ from ._computed_torque import (
     smooth_friction as smooth_friction,
 )
 from ._controller import (
-    AbstractController as AbstractController,
-    Reference as Reference,
-    conditional_integration as conditional_integration,
-    error_gains as error_gains,
-)
-from ._pid import (
     PID as PID,
+    AbstractController as AbstractController,
     AbstractPositionTorque as AbstractPositionTorque,
     Gravity as Gravity,
     PIDState as PIDState,
+    Reference as Reference,
+    conditional_integration as conditional_integration,
+    error_gains as error_gains,
 )
 from ._protection import (
     FAULTS as FAULTS,

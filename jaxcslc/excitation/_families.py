@@ -250,7 +250,7 @@ class BSplines(AbstractFamily):
 
     @cached_property
     def _splines(self) -> scipy.interpolate.BSpline:
-        """All basis functions: control points relative to the first, which the first row is."""
+        """Basis functions: control points relative to the first, which the first row is."""
         inner = np.linspace(0.0, self.duration, self.intervals + 1)
         knots = np.concatenate([[0.0] * _DEGREE, inner, [self.duration] * _DEGREE])
         points = np.zeros((self.intervals + _DEGREE, self.size))

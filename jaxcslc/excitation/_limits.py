@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from .._toml_document import toml_document
+from .._plain_data import toml_document
 from ..manipulator import Manipulator
 
 

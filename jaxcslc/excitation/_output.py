@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .._safe_text import csv_line
 from .._scratch import all_together
+from .._text_table import csv_line
 from ..codegen import comment_text, identifier
 from ..manipulator import joint_lines, link_poses
 from ..network import CSLC

@@ -12,8 +12,8 @@ from typing import Any, cast
 import numpy as np
 from jaxtyping import Float
 
+from .._plain_data import toml_document
 from .._scratch import unfinished
-from .._toml_document import toml_document
 from ..bodies import PhysicalParameters, body_of, link_of, pseudo_inertia
 from ..manipulator import (
     Element,

@@ -54,7 +54,7 @@ class Request:
 
     @property
     def has_file_prior(self) -> bool:
-        """Whether inertial parameters of the robot's file are a prior."""
+        """Return whether inertial parameters of the robot's file are a prior."""
         known = self.network.robot.links is not None
         return self.file_prior and known and self.previous is None
 

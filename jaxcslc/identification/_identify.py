@@ -12,8 +12,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from .._display import Progress, steps
 from .._processes import can_fork, computed_beside
-from .._progress import Progress, steps
 from ..bodies import Choice, Prior
 from ..checks import AGREEMENT_KINDS, DataCheck, check
 from ..friction import PreSlidingFit, along_motion, fit_pre_sliding, fit_slopes

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._progress import Progress, steps
+from .._display import Progress, steps
 from ..least_squares import (
     Equations,
     Identification,

@@ -14,8 +14,8 @@ import jax
 import numpy as np
 
 from .._environment import require, require_float64
-from .._safe_text import csv_line
 from .._scratch import unfinished
+from .._text_table import csv_line
 from ..manipulator import Manipulator, Mimic
 from ..network import CSLC, RigidBodyTables, derive
 from ..recordings import Patterns, Recording, iterate_recording, load_recording

@@ -16,8 +16,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from .._chunks import over_chunks
 from .._environment import array_namespace
+from .._processes import over_chunks
 from ..network import AbstractLinearNetwork
 from ..recordings import Patterns, at_rest, directions_beside
 

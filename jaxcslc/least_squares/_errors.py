@@ -14,8 +14,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Float
 
-from .._chunks import over_chunks
 from .._environment import array_namespace, as_jax
+from .._processes import over_chunks
 from ..network import AbstractLinearNetwork
 from ..recordings import Patterns
 from ._columns import columns_of, rows_of, torque_by, traced

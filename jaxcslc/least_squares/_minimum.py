@@ -59,8 +59,9 @@ class Fixed(eqx.Module):
     def except_for(
         cls, network: AbstractLinearNetwork, previous: Previous, groups: Sequence[str]
     ) -> "Fixed":
-        """All but `groups` keep their values of `previous`, which may end before the last ones if
-        those are all fitted.
+        """Keep the values of `previous` except those of `groups`.
+
+        It may end before the last ones if those are all fitted.
 
         **Raises** `ValueError` for names that are none, and for another network's `previous`.
         """

@@ -1,4 +1,4 @@
-"""What rounding alone makes of regressor columns, so that columns of nothing else count as zero.
+"""Rounding of regressor columns, so that columns of nothing else count as zero.
 
 A column may be a sum of terms that cancel: of joints that stand still, of parallelograms, of joints
 that follow others. What is left is rounding, whose coefficient would be a torque over 1e-16.

@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .._field_types import check_field_types
+from .._plain_data import check_field_types
 from ..network import CSLC, AbstractLinearNetwork
 from ..recordings import (
     Patterns,

@@ -9,7 +9,7 @@ from scipy.linalg import cholesky_banded
 from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dtbtrs
 
-from .._chunks import over_chunks
+from .._processes import over_chunks
 from .._rank import rank_tolerance
 from ..codegen import LANES_TEXT, LONG, CArray, CFunction
 

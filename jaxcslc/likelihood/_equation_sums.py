@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._chunks import over_chunks
+from .._processes import over_chunks
 from ..codegen import INTEGERS, LONG, CArray, CFunction
 from ._banded_solver import SOURCE, add_blocks, gram
 

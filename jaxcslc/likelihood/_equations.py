@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from .._chunks import over_chunks
+from .._processes import over_chunks
 from ..codegen import (
     LONG,
     CArray,

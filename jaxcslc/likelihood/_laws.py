@@ -7,7 +7,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 
-from .._chunks import over_chunks
+from .._processes import over_chunks
 from ._signs import runs
 
 

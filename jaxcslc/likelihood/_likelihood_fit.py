@@ -9,8 +9,8 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Bool, Float, Int
 
-from .._chunks import over_chunks
 from .._environment import as_jax
+from .._processes import over_chunks
 from ..bodies import PhysicalParameters
 from ..least_squares import (
     RESULTS,

@@ -76,7 +76,7 @@ class Minimum:
 
     @property
     def point(self) -> Point:
-        """All unknowns."""
+        """Values of all unknowns."""
         return self.state.point
 
     @property

@@ -1,4 +1,4 @@
-"""Which way joints move, where they turn and where they rest."""
+"""Directions of joints, where they turn and where they rest."""
 
 import dataclasses
 

@@ -13,8 +13,7 @@ Modules, in reading order:
 - `_link_parameters`: inertial terms of a link, and measurable parameters of links and motors.
 - `_friction`: names of friction terms, coupled joints, and their checks.
 - `_manipulator`: the robot itself, and the file that it was read from.
-- `_kinematics`: frames of links at a pose.
-- `_placement`: modified Denavit-Hartenberg rows of joints with any axes.
+- `_placement`: frames of links at a pose, and modified Denavit-Hartenberg rows of any axes.
 - `files`: readers of robot files, and the bundled robots.
 """
 
@@ -31,7 +30,6 @@ from ._joint import (
     RobotError as RobotError,
     Subnumbering as Subnumbering,
 )
-from ._kinematics import joint_lines as joint_lines, link_poses as link_poses
 from ._link_parameters import (
     LinkInertia as LinkInertia,
     LinkParameters as LinkParameters,
@@ -46,7 +44,12 @@ from ._manipulator import (
     Mimics as Mimics,
     Source as Source,
 )
-from ._placement import Axis as Axis, modified_dh as modified_dh
+from ._placement import (
+    Axis as Axis,
+    joint_lines as joint_lines,
+    link_poses as link_poses,
+    modified_dh as modified_dh,
+)
 from .files import (
     Element as Element,
     load_robot as load_robot,

@@ -34,8 +34,8 @@ from ._joint import (
     gravity_vector,
     modified_dh_joints,
 )
-from ._kinematics import joint_lines
 from ._link_parameters import InertiaForm, LinkInertia, LinkParameters
+from ._placement import joint_lines
 
 
 RobotFormat = Literal["toml", "urdf", "mjcf"]

@@ -10,8 +10,7 @@ On-line, sample by sample:
 
 Modules, in reading order:
 
-- `_fit`: `fit_payload` for patterns, and the fit with its errors.
-- `_report`: `identify_payload` for recordings, and its report.
+- `_report`: `fit_payload` for patterns, `identify_payload` for recordings, and the report.
 - `_equations`: recursive equations, evidence for a change, possible bodies.
 - `_estimator`: recursive identification, and a controller that uses the estimate.
 """
@@ -24,12 +23,13 @@ from ._estimator import (
     PayloadEstimator as PayloadEstimator,
     PayloadState as PayloadState,
 )
-from ._fit import (
+from ._report import (
     PHYSICAL as PHYSICAL,
     PayloadFit as PayloadFit,
+    PayloadReport as PayloadReport,
     fit_payload as fit_payload,
+    identify_payload as identify_payload,
 )
-from ._report import PayloadReport as PayloadReport, identify_payload as identify_payload
 
 
 __all__ = [

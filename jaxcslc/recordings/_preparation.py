@@ -446,7 +446,7 @@ reach over 36 ms to either side in place of 18 ms',)
 
     @property
     def description(self) -> str:
-        """All options that matter, in words."""
+        """Options that matter, in words."""
         fractions, limits = _listed(self._fraction), _listed(self.thresholds)
         if limits:
             thresholds = "thresholds " + ", ".join(f"{limit:.3g}" for limit in limits)

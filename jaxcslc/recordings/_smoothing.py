@@ -13,7 +13,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from .._field_types import check_field_types
+from .._plain_data import check_field_types
 from ._low_pass import zero_phase
 from ._recording import Samples, Signals
 from ._sampling import uniform_interval

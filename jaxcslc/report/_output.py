@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._plain_data import plain
-from .._safe_text import csv_line
 from .._scratch import all_or_nothing
+from .._text_table import csv_line
 from ._page import render
 
 

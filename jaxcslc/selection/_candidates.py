@@ -287,7 +287,7 @@ class Candidates:
         )
 
     def options(self) -> tuple[SearchAxis, ...]:
-        """All other options, an axis of the search each."""
+        """Return the other options, an axis of the search each."""
         return (
             SearchAxis("velocity", self.velocities),
             SearchAxis("torque_alignment", self.torque_alignments),

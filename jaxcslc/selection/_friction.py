@@ -377,7 +377,7 @@ class _Judge:
 
     @cached_property
     def derivatives(self) -> tuple[Derivatives, ...]:
-        """Of all recordings: they do not depend on friction."""
+        """Return derivatives of all recordings: they do not depend on friction."""
         derivatives = self.settings.preparation.derivatives
         first = derivatives(self.recording) if self.motion is None else self.motion
         return (first, *map(derivatives, self.others))

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import savgol_filter
 
-from .._progress import Progress, steps as progress_steps
+from .._display import Progress, steps as progress_steps
 from ..manipulator import LinkParameters, Manipulator
 from ..recordings import encoder_resolution
 from ._drive import ServoDrive

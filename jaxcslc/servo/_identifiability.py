@@ -1,4 +1,4 @@
-"""What recordings of a servo joint can tell apart, and what would separate the rest.
+"""Parameters that recordings of a servo joint can tell apart, and what would separate the rest.
 
 Two parameters are confounded if a change of one is nearly undone by a change of the other. That is
 seen in the derivatives of the simulated positions with respect to all parameters of a drive, also

@@ -172,7 +172,7 @@ class ServoReport:
 
     @property
     def undetermined(self) -> list[str]:
-        """What the recordings do not determine, a sentence per joint."""
+        """Parameters that the recordings do not determine, a sentence per joint."""
         by_joint: dict[int, list[str]] = {}
         for p in self.fit.parameters:
             if not p.is_determined:

@@ -9,9 +9,9 @@
 - `_generators`, `_separation`: known variables apart from unknown constants, in exact algebra.
 - `_network`, `_recording`: network, recording and patterns of a system.
 - `_constants`: constants that follow from coefficients; `_search`: those that enter nonlinearly.
-- `_noise_correction`, `_smoothing_bias`: bias by measurement noise and by smoothing.
+- `_noise_correction`: bias by measurement noise and by smoothing.
 - `_simulation`: the identified system next to a recording.
-- `_identify`, `_report`: identification and its result.
+- `_identify`: identification and its result.
 """
 
 from ._constants import (
@@ -24,7 +24,13 @@ from ._description import (
     DescriptionError as DescriptionError,
     Variable as Variable,
 )
-from ._identify import identify_system as identify_system, system_settings as system_settings
+from ._identify import (
+    SystemReport as SystemReport,
+    identify_system as identify_system,
+    load_system_report as load_system_report,
+    save_derivation as save_derivation,
+    system_settings as system_settings,
+)
 from ._network import SystemNetwork as SystemNetwork, SystemTerm as SystemTerm
 from ._noise_correction import (
     NoiseCorrection as NoiseCorrection,
@@ -36,11 +42,6 @@ from ._recording import (
     measurement_noise as measurement_noise,
     system_derivatives as system_derivatives,
     system_patterns as system_patterns,
-)
-from ._report import (
-    SystemReport as SystemReport,
-    load_system_report as load_system_report,
-    save_derivation as save_derivation,
 )
 from ._search import (
     ConstantMinimum as ConstantMinimum,

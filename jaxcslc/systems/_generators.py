@@ -322,7 +322,7 @@ class Generators:
         return self._generator(value, 2, Integer(1))
 
     def _piecewise(self, x: Any) -> Any:
-        """Each piece times an indicator of where it holds and those before it do not."""
+        """Multiply each piece by an indicator of where it holds and those before it do not."""
         total, left = Integer(0), Integer(1)
         for value, condition in x.args:
             self._side(condition, x)

@@ -19,7 +19,7 @@ Rows = Float[Array | np.ndarray, "variables samples"]
 
 
 class SystemTerm(AbstractTerm):
-    """All coefficients of a system, and the functions of the variables that multiply them.
+    """Coefficients of a system, and the functions of the variables that multiply them.
 
     **Attributes**
 

@@ -15,7 +15,7 @@ from sympy.core.relational import Relational
 from sympy.logic.boolalg import BooleanAtom
 from sympy.physics.mechanics import dynamicsymbols
 
-from .._toml_document import toml_document
+from .._plain_data import toml_document
 from ._description import Constant, DescriptionError, Variable
 from ._system import System
 

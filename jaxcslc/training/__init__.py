@@ -15,8 +15,7 @@ Modules, in reading order:
 - `_rules`: learning rules.
 - `_plan`: schedule of rules, rates, and when to end.
 - `_epoch`, `_train`: one epoch, a whole training, and its result.
-- `_pruning`: removal of links, and the smaller network.
-- `_kernel_statements`, `_kernel`, `_cost_kernel`: CUDA kernels for many trainings side by side.
+- `_kernel_statements`, `_kernel`: CUDA kernels for many trainings side by side.
 """
 
 from ._epoch import (
@@ -67,7 +66,6 @@ from ._networks import (
     fully_connected as fully_connected,
     inverse_dynamics as inverse_dynamics,
     linear_combiner as linear_combiner,
-    signed_start as signed_start,
     subnetwork_masks as subnetwork_masks,
 )
 from ._plan import (
@@ -78,7 +76,6 @@ from ._plan import (
     Schedule as Schedule,
     SwitchWhen as SwitchWhen,
 )
-from ._pruning import LinkEnds as LinkEnds, Pruning as Pruning, compact as compact, prune as prune
 from ._rules import (
     PERAL as PERAL,
     AbstractRule as AbstractRule,
@@ -113,7 +110,6 @@ __all__ = [
     "IdealPERAL",
     "InverseDynamicsInputs",
     "Layer",
-    "LinkEnds",
     "Links",
     "NormalEquations",
     "Passage",
@@ -122,7 +118,6 @@ __all__ = [
     "PolynomialTerms",
     "Preprocessed",
     "Presentation",
-    "Pruning",
     "RadialBasis",
     "RegressorInputs",
     "Schedule",
@@ -132,7 +127,6 @@ __all__ = [
     "Training",
     "TrainingState",
     "check_sign_rank",
-    "compact",
     "decreasing",
     "examples",
     "fully_connected",
@@ -144,8 +138,6 @@ __all__ = [
     "network_order",
     "normal_equations",
     "order_per_output",
-    "prune",
-    "signed_start",
     "subnetwork_masks",
     "train",
     "training_steps",

@@ -15,9 +15,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from ._cost_kernel import CostKernel, cost_kernel
 from ._functions import HARD_LIMITER, LINEAR_COMBINER, Cost, half_square
-from ._kernel import batched_by, summed_change
+from ._kernel import CostKernel, batched_by, cost_kernel, summed_change
 from ._network import AdaptiveNetwork, Layer, Signals, Subnetwork, reaching_weights
 from ._rules import AbstractRule, Backpropagation, Counts, links_per_weight, subnetwork_counts
 
@@ -208,7 +207,7 @@ class Examples(eqx.Module):
     def costs(
         self, network: AdaptiveNetwork, weights: Float[Array, " weights"], *costs: Cost
     ) -> tuple[Float[Array, ""], ...]:
-        """Each cost of the network with these weights; of many weights at once by a kernel, where
+        """Return each cost of the network with these weights; of many at once by a kernel, where
         there is one."""
         values = {cost: self._cost(network, weights, cost) for cost in costs}
         return tuple(values[cost] for cost in costs)

@@ -383,7 +383,7 @@ class Subnetwork:
 
 
 class Passage(NamedTuple):
-    """All values of one pass forward, kept for the learning rules.
+    """Values of one pass forward, kept for the learning rules.
 
     - `layer_inputs`: for every subnetwork, the inputs of each adaptive layer, its bias among them.
     - `sums`: for every subnetwork, each adaptive layer's sums.
@@ -482,7 +482,7 @@ class AdaptiveNetwork(eqx.Module):
         return self.preprocess(patterns)
 
     def forward(self, weights: Float[Array, " weights"], signals: Signals) -> Passage:
-        """All values of a pass forward, (units, ...).
+        """Return the values of a pass forward, (units, ...).
 
         **Raises** `ValueError` if there are not p weights.
         """
@@ -571,7 +571,7 @@ def network_order(network: AdaptiveNetwork) -> int:
 
 
 def order_per_output(network: AdaptiveNetwork) -> tuple[int, ...]:
-    """Each output's order (thesis 4.2): its number of weights times the order of what they weigh.
+    """Return each output's order (4.2): its number of weights times the order of what they weigh.
 
     For one adaptive layer, as many independent patterns determine the output's weights from this
     output alone; see `network_order`.
@@ -607,7 +607,7 @@ def reaching_weights(network: AdaptiveNetwork) -> tuple[tuple[int, ...], ...]:
 
 
 class _Reach(NamedTuple):
-    """What reaches a unit of a network.
+    """Links and inputs that reach a unit of a network.
 
     - `weights`: all of them; `last`: those since the last adaptive layer.
     - `before`: the order of what these weigh.
@@ -657,7 +657,7 @@ def _through_layers(layers: Sequence[Layer], inputs: int) -> list[_Reach]:
 
 
 class PolynomialTerms(eqx.Module):
-    """All products of up to `degree` inputs, single inputs first (thesis 3.3.4).
+    """Products of up to `degree` inputs, single inputs first (thesis 3.3.4).
 
     With degree 2 and two inputs, x1, x2, x1², x1 x2 and x2²: what lets a single hard limiter
     tell the exclusive or (Fig. 3.3-3).

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Key, Real
+from jaxtyping import Array, Bool, Float, Real
 
 from ..derivation import ProductTable
 from ..network import CSLC, JAX_FUNCTIONS, LOAD, AbstractLinearNetwork, input_rows
@@ -217,48 +217,6 @@ def inverse_dynamics(network: CSLC) -> AdaptiveNetwork:
     return AdaptiveNetwork(
         tuple(parts), InverseDynamicsInputs(network), LINEAR_COMBINER, network.names
     )
-
-
-def signed_start(
-    network: CSLC, key: Key[Array, ""], scale: Float[Array | np.ndarray, " _"] | float = 1.0
-) -> Float[Array, " coefficients"]:
-    """Draw initial weights of a CSLC whose signs are those of its coefficients (thesis 5.2.3).
-
-    A coefficient that is a sum of masses, moments of inertia and squares is positive, and so are
-    viscous and Coulomb friction (`Coefficient.positive`). Their weights are positive. Every other
-    weight has either sign with equal probability. Moduli are uniform from zero to the scale, and
-    never zero: PERAL leaves a weight of zero as it is.
-
-    **Arguments**
-
-    - `network`: p coefficients.
-    - `key`: of JAX's random numbers; `jax.vmap` over keys draws several starts.
-    - `scale`: greatest modulus of all weights, or of each, (p,), in its unit; positive.
-
-    **Returns** weights in the order of the coefficients, (p,).
-
-    **Raises** `ValueError` for a scale of another shape, or one that is not positive.
-
-    >>> import jax, jaxcslc as jc
-    >>> from jaxcslc.training import signed_start
-    >>> cslc = jc.derive(jc.puma560())
-    >>> start = signed_start(cslc, jax.random.key(0), scale=0.1)
-    >>> all(k > 0 for k, c in zip(start, cslc.coefficients, strict=True) if c.positive)
-    True
-    >>> jax.vmap(lambda key: signed_start(cslc, key))(jax.random.split(jax.random.key(0), 8)).shape
-    (8, 43)
-    """
-    largest = np.asarray(scale, float)
-    if largest.shape not in ((), (network.size,)) or not np.all(largest > 0):
-        raise ValueError(
-            f"scale: expected a positive number, or one for each of {network.size} coefficients,"
-            f" got shape {largest.shape} and at least {largest.min():g}"
-        )
-    positive = np.array([coefficient.positive for coefficient in network.coefficients])
-    of_moduli, of_signs = jax.random.split(key)
-    moduli = jnp.asarray(largest) * (1.0 - jax.random.uniform(of_moduli, (network.size,), float))
-    negative = jax.random.bernoulli(of_signs, shape=(network.size,)) & ~positive
-    return jnp.where(negative, -moduli, moduli)
 
 
 def subnetwork_masks(

@@ -139,7 +139,7 @@ class AdaptedRates(AbstractRates):
     def adapted(
         self, rates: Rates, before: Float[Array, ""], after: Float[Array, " trials"]
     ) -> Rates:
-        """Each rate by itself, (groups,), given the cost after every trial."""
+        """Adapt each rate by itself, (groups,), given the cost after every trial."""
         groups = rates.shape[0]
         present, higher, lower = after[0], after[1 : 1 + groups], after[1 + groups : 1 + 2 * groups]
         without = after[1 + 2 * groups :] if groups > 1 else before[None]

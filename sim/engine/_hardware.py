@@ -79,7 +79,7 @@ class JointHardware:
 
     @property
     def rotor(self) -> Int[np.ndarray, " joints"]:
-        """Which degree of freedom is each joint's rotor."""
+        """Return the degree of freedom that is each joint's rotor."""
         return _rotor(self.flexible)
 
     def read(self, q: Values, qd: Values, late: Values) -> Values:
@@ -103,7 +103,7 @@ class JointHardware:
         return self.mixed(self.stale[:, step], before, torque)
 
     def mixed(self, stale: Values, before: Values, torque: Values) -> Values:
-        """As `acting`, from the step's column of `stale`, (machines,)."""
+        """Return what `acting` does, from the step's column of `stale`, (machines,)."""
         if not self.delayed:
             return torque
         stale = stale[:, None]
@@ -166,7 +166,7 @@ class JointHardware:
         }
 
     def apart(self, q: Any) -> Any:
-        """Whether the teeth are apart, (machines, joints), at positions `q` of links and rotors."""
+        """Return whether the teeth are apart, (machines, joints), at these positions."""
         return abs(q[:, self.rotor] - q[:, : len(self.flexible)]) < self.backlash / 2
 
 

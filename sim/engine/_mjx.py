@@ -35,7 +35,7 @@ _MOST_ITERATIONS = 50
 
 
 class Accelerations(NamedTuple):
-    """What acts on machines at a state.
+    """Accelerations of machines at a state, and what acts on them.
 
     **Attributes**
 
@@ -418,7 +418,7 @@ def perform_mjx(
     *,
     advanced: Callable[[int], object] | None = None,
 ) -> list[SimulatedRecording | SimulationError]:
-    """As `perform`, under MJX on JAX's default device.
+    """Do what `perform` does, under MJX on JAX's default device.
 
     A whole recording is one compiled program; another trajectory or number of machines is
     compiled anew. The results agree with those of `perform` to rounding, which open-loop motion

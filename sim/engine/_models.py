@@ -67,7 +67,7 @@ def largest_gravity(
 def _gravity_columns(
     robot: Manipulator, position_range: tuple[tuple[float, float], ...]
 ) -> Float[np.ndarray, "postures joints moments"]:
-    """What multiplies mass and first moments of each link, in frame i, in the torque of each joint.
+    """Return the factors of mass and first moments of each link, in frame i, in joints' torques.
 
     A joint's torque is what lifts the links after it: the derivative of their potential energy,
     -m g·p, where p moves by z x (p - o) as a revolute joint turns, by z as a prismatic one slides.

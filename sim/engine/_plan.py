@@ -56,7 +56,7 @@ class RandomDraws:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """How the sampling interval is divided into steps of the integrator.
+    """Division of the sampling interval into steps of the integrator.
 
     **Attributes**
 
@@ -101,7 +101,7 @@ def structure(machine: Machine) -> tuple[object, ...]:
 
 
 def sample_times(trajectory: Trajectory) -> Float[np.ndarray, " samples"]:
-    """When a trajectory's samples are taken [s]."""
+    """Return the times at which a trajectory's samples are taken [s]."""
     return trajectory.sample_interval * np.arange(trajectory.samples)
 
 

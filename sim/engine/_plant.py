@@ -92,7 +92,7 @@ class CompiledSteps:
         row = batch.state.ctypes.data
 
         def offset(part: str) -> int:
-            """Where a part of a state row begins."""
+            """Return where a part of a state row begins."""
             return (batch.bind(part).ctypes.data - row) // batch.state.itemsize
 
         self._group = _Group(
@@ -149,7 +149,7 @@ class CompiledSteps:
 
 
 def batch_threads(threads: int, machines: int) -> int:
-    """How many of `threads` MuJoCo's batch should have.
+    """Return how many of `threads` MuJoCo's batch should have.
 
     Its threads wait actively. When it only evaluates accelerations once a sample, 4 µs a machine,
     that costs more than a second thread gains for 8 machines, and less for 64.
@@ -328,7 +328,7 @@ class Plant:
 
     @property
     def apart(self) -> Bool[np.ndarray, "*machines joints"]:
-        """Whether the teeth are apart now: whether the joint is in backlash (2.5.3)."""
+        """Return whether the teeth are apart now: the joint is in backlash (2.5.3)."""
         return self._rows(self._hardware.apart(self._q))
 
     @property
@@ -402,7 +402,7 @@ class Plant:
             acceleration = (self._qd - before) / self._plan.step
 
     def _models(self, body: LinkParameters | None) -> list["MjModel"]:
-        """Each machine's mechanics with a body."""
+        """Return each machine's mechanics with a body."""
         if id(body) not in self._compiled:
             # Machines of many recordings are often the same one.
             loaded = {id(machine): carrying(machine, body) for machine in self._group}

@@ -202,7 +202,7 @@ def perform(
 
 
 def thread_count(threads: int | None, machines: int) -> int:
-    """How many threads to use: as many as the process has cores, unless specified.
+    """Return how many threads to use: as many as the process has cores, unless specified.
 
     **Raises**
 

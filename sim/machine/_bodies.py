@@ -113,7 +113,7 @@ def tilted_links(
 
 
 def are_rigid_bodies(inertia: Float[np.ndarray, "bodies 3 3"]) -> Bool[np.ndarray, " bodies"]:
-    """Whether bodies can have these tensors at their centres of gravity [kg m²], to rounding."""
+    """Return whether bodies can have these tensors at their centres of gravity [kg m²]."""
     return np.linalg.eigvalsh(_spread(inertia))[:, 0] >= -_slack(inertia)
 
 

@@ -1,4 +1,4 @@
-"""Between demands and links: drives, encoders, transmission, friction; in NumPy and JAX alike."""
+"""Drives, encoders, transmission, friction: from demands to links, in NumPy and JAX alike."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -53,7 +53,7 @@ class Drives:
         return self._curve()
 
     def _curve(self) -> tuple[Any, Any, Any]:
-        """Where motors saturate, from which torque on, and by how much torque still grows."""
+        """Return where motors saturate, from which torque on, and how much it still grows."""
         xp = self.linear.__array_namespace__()
         # Where the motor does not saturate, the curve is unused: any finite headroom serves.
         bends = (self.linear < self.most) & xp.isfinite(self.most)
@@ -63,7 +63,7 @@ class Drives:
 
 @dataclass(frozen=True, eq=False)
 class Transmission:
-    """How rotors and links are coupled (2.5.3), and which degrees of freedom a plant has for them.
+    """Coupling of rotors and links (2.5.3), and the degrees of freedom that a plant has for them.
 
     A plant's degrees of freedom are the links, one a joint, and after them the rotors of the
     joints whose transmission is flexible. Every array here may have leading batch axes: machines
@@ -90,12 +90,12 @@ class Transmission:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """How many degrees of freedom there are."""
+        """Number of degrees of freedom."""
         return int(self.flexible.size + np.count_nonzero(self.flexible))
 
     @property
     def rotor(self) -> Int[np.ndarray, " joints"]:
-        """Which degree of freedom is each joint's rotor: its link's, where they are one body."""
+        """Degree of freedom of each joint's rotor: its link's, where they are one body."""
         n = self.flexible.size
         return np.where(self.flexible, n + np.cumsum(self.flexible) - 1, np.arange(n))
 
@@ -114,7 +114,7 @@ class Transmission:
         rotor: Float[np.ndarray, "*batch joints"],
         link: Float[np.ndarray, "*batch joints"],
     ) -> Bool[np.ndarray, "*batch joints"]:
-        """Whether the gears are apart: the joint is experiencing backlash (2.5.3)."""
+        """Return whether the gears are apart: the joint is in backlash (2.5.3)."""
         return np.abs(rotor - link) < self.backlash / 2
 
 

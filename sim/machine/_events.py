@@ -74,7 +74,7 @@ class Carried(NamedTuple):
 
     @property
     def mass(self) -> Float[np.ndarray, " samples"]:
-        """At each sample [kg]."""
+        """Return the mass at each sample [kg]."""
         masses = [0.0 if body is None else float(body.mass) for body in self.bodies]
         return np.array(masses)[self.which]
 
@@ -122,7 +122,7 @@ def carrying(machine: Machine, body: LinkParameters | None) -> Machine:
 
 
 def during(time: Float[np.ndarray, " samples"], start: float, stop: float | None) -> np.ndarray:
-    """Which samples are from `start` on and before `stop` [s]."""
+    """Return which samples are from `start` on and before `stop` [s]."""
     after = time >= start - _ROUNDING
     return after if stop is None else after & (time < stop - _ROUNDING)
 
@@ -213,7 +213,7 @@ class Faults(NamedTuple):
         return cls(active["lost samples"], frozen, np.where(active["reversed torque"], -1.0, 1.0))
 
     def at(self, sample: int) -> "Faults":
-        """Those at one sample."""
+        """Return the faults at one sample."""
         return Faults(self.lost[sample], self.stuck[sample], self.sense[sample])
 
     def read(self, reading: Any, shown: Any, received: Any) -> tuple[Any, Any, Any]:

@@ -164,7 +164,7 @@ class Machine:
 
     @property
     def flexible(self) -> tuple[bool, ...]:
-        """Which joints have a rotor and a link that move apart."""
+        """Joints that have a rotor and a link that move apart."""
         return tuple(stiffness < math.inf for stiffness in self.stiffness)
 
     def _check_friction(self) -> None:

@@ -19,7 +19,7 @@ _MOST_FACTORS = 3  # as in m*rx*ry
 
 @dataclass(frozen=True, eq=False)
 class CoefficientMap:
-    """From link parameters to the inertial coefficients of the dynamics, with its derivative.
+    """Map from link parameters to the inertial coefficients of the dynamics, with its derivative.
 
     What `CSLC.coefficients_from` computes, for links whose principal axes are the frame's
     (Eqn. 2.3-20), in NumPy: an optimiser evaluates it hundreds of times.

@@ -50,12 +50,12 @@ class ThesisCoefficients:
 
     @property
     def coefficients(self) -> Float[np.ndarray, "43"]:
-        """All of them, as the PUMA 560's network has them."""
+        """Coefficients in the order of the PUMA 560's network."""
         return np.concatenate([self.mass, self.gravity, self.viscous, self.dry])
 
     @property
     def sensitivity(self) -> Float[np.ndarray, "43"]:
-        """Of each of `coefficients` [N m a unit]."""
+        """Sensitivity of each of `coefficients` [N m per unit]."""
         dry = np.full(len(self.dry), 1 / len(self.dry))
         parts = [self.mass_sensitivity, self.gravity_sensitivity, self.viscous_sensitivity, dry]
         return np.concatenate(parts)

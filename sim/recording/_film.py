@@ -244,7 +244,7 @@ def _add_links(
 
 
 def _half_sizes(load: Load) -> list[float]:
-    """Of the box that a load is drawn as [m]."""
+    """Return half the sizes of the box that a load is drawn as [m]."""
     mass = float(load.body.mass)
     side = max((mass / _DENSITY) ** (1 / 3), _SMALLEST_LOAD)
     return [side / 2] * 3
@@ -343,7 +343,7 @@ class Pictures:
         view: tuple[float, float],
         floor: float | None,
     ) -> None:
-        """As for `film`."""
+        """Take the arguments of `film`."""
         try:
             import mujoco
             from PIL import ImageFont

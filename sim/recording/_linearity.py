@@ -63,7 +63,7 @@ class MotorLinearity:
 
     @property
     def residual(self) -> Float[np.ndarray, " measurements"]:
-        """By how much each measurement lies above the line [N m]."""
+        """Distance of each measurement above the line [N m]."""
         return self.torque - (self.intercept + self.slope * self.mass)
 
     @property
@@ -80,7 +80,7 @@ class MotorLinearity:
 
     @property
     def excess(self) -> float:
-        """By how much the heaviest measurement lies above the line [N m]."""
+        """Distance of the heaviest measurement above the line [N m]."""
         return float(self.residual[-1])
 
 

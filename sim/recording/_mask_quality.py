@@ -10,7 +10,7 @@ from jaxcslc._text_table import text_table
 
 @dataclasses.dataclass(frozen=True)
 class MaskQuality:
-    """How well a mask leaves out disturbed samples, joint by joint.
+    """Quality of a mask: which disturbed samples it leaves out, joint by joint.
 
     `print` shows a table; `rows()` returns it as data. A share of no samples is NaN.
 
@@ -44,7 +44,7 @@ class MaskQuality:
 
     @property
     def together(self) -> "MaskQuality":
-        """All joints' pairs as if they were one joint's."""
+        """Join all joints' pairs as if they were one joint's."""
         total = (np.sum(x, keepdims=True) for x in (self.disturbed, self.left_out, self.caught))
         return MaskQuality(self.samples * self.disturbed.size, *total)
 

@@ -220,7 +220,7 @@ def record_each(
     side_by_side: int | None = None,
     progress: bool = False,
 ) -> Iterator[tuple[int, SimulatedRecording | SimulationError]]:
-    """As `record`, but yields each recording as soon as it is complete.
+    """Yield each recording of `record` as soon as it is complete.
 
     **Arguments**
 

@@ -128,12 +128,12 @@ class Hand:
 
     @cached_property
     def _turns_only(self) -> bool:
-        """Whether there is no prismatic joint."""
+        """Return whether there is no prismatic joint."""
         return bool(np.all(self.turns == 1.0))
 
     @no_type_check
     def _chain(self, position: Array) -> Array:
-        """As `frames`, but (*batch, joints, 4, 4)."""
+        """Return `frames` as (*batch, joints, 4, 4)."""
         xp = namespace(position)
         turning = position if self._turns_only else spread(self.turns, position) * position
         angle = (spread(self.theta, position) + turning)[..., None, None]

@@ -73,7 +73,7 @@ class MinimumJerk(AbstractPath):
     def reference(
         self, time: Float[Array, "*batch 1"], origin: Float[Array, "*batch joints"]
     ) -> Reference:
-        """As the abstract method."""
+        """Return what the abstract method declares."""
         way = spread(self.end, origin) - origin
         s, rate, change = _minimum_jerk(time / self.duration)
         return Reference(
@@ -83,7 +83,7 @@ class MinimumJerk(AbstractPath):
 
 @dataclass(frozen=True, eq=False)
 class ViaPoints(AbstractPath):
-    """From pose to pose, each time from rest to rest along `minimum_jerk`, with a stay at each.
+    """Path from pose to pose, from rest to rest along `minimum_jerk`, with a stay at each.
 
     With a first axis of machines in all three tables, each machine has its path, all of as many
     poses.
@@ -122,13 +122,13 @@ class ViaPoints(AbstractPath):
 
     @property
     def arrivals(self) -> Float[np.ndarray, "*machines poses"]:
-        """When each pose is reached [s]."""
+        """Times at which each pose is reached [s]."""
         return np.cumsum(self.durations, -1) + np.cumsum(self.stays, -1) - self.stays
 
     def reference(
         self, time: Float[Array, "*batch 1"], origin: Float[Array, "*batch joints"]
     ) -> Reference:
-        """As the abstract method."""
+        """Return what the abstract method declares."""
         alike = self.poses.ndim == 2
         broadcast = spread if alike else _rows
         duration = broadcast(self.durations, time)
@@ -169,7 +169,7 @@ class Oscillation(AbstractPath):
     def reference(
         self, time: Float[Array, "*batch 1"], origin: Float[Array, "*batch joints"]
     ) -> Reference:
-        """As the abstract method."""
+        """Return what the abstract method declares."""
         xp, rate = namespace(time), 2 * np.pi / self.period
         amplitude = spread(self.amplitude, origin)
         wave = amplitude * xp.cos(rate * time)
@@ -224,13 +224,13 @@ class SampledPath(AbstractPath):
 
     @property
     def duration(self) -> float:
-        """When the last row is reached [s]."""
+        """Time at which the last row is reached [s]."""
         return self.interval * (len(self.q) - 1)
 
     def reference(
         self, time: Float[Array, "*batch 1"], origin: Float[Array, "*batch joints"]
     ) -> Reference:
-        """As the abstract method."""
+        """Return what the abstract method declares."""
         xp = namespace(time)
         row = xp.clip(xp.round(time[..., 0] / self.interval), 0, len(self.q) - 1).astype(int)
         q, qd, qdd = (

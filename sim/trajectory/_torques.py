@@ -78,7 +78,7 @@ class AbbreviatedGravity(AbstractPositionTorque):
         )
 
     def torque(self, q: Array) -> Array:
-        """As `AbstractPositionTorque.torque`, for six joints."""
+        """Return what `AbstractPositionTorque.torque` declares, for six joints."""
         xp = namespace(q)
         q2, q23 = q[..., 1], q[..., 1] + q[..., 2]
         forearm = self.forearm[0] * xp.cos(q23) + self.forearm[1] * xp.sin(q23)
@@ -114,7 +114,7 @@ class Repulsion(AbstractPositionTorque):
     array_generic: ClassVar[bool] = True
 
     def torque(self, q: Float[Array, "*batch joints"]) -> Float[Array, "*batch joints"]:
-        """As the abstract method."""
+        """Return what the abstract method declares."""
         xp = namespace(q)
         low = spread(self.position_range[:, 0], q)
         high = spread(self.position_range[:, 1], q)
@@ -165,7 +165,7 @@ class HandRepulsion(AbstractPositionTorque):
     array_generic: ClassVar[bool] = True
 
     def clearance(self, q: Float[Array, "*batch joints"]) -> Float[Array, "*batch 2"]:
-        """How far the hand is from the floor and from the trunk [m], at joint positions
+        """Return the hand's distances from the floor and from the trunk [m], at joint positions
         [rad or m]; negative inside.
 
         The distance from the trunk is the larger of that beside it and that above it, with the
@@ -174,7 +174,7 @@ class HandRepulsion(AbstractPositionTorque):
         return self._clearance(self.hand.locate(q)[0])
 
     def potential(self, q: Float[Array, "*batch joints"]) -> Float[Array, "*batch"]:
-        """Of the force [J], at joint positions [rad or m]."""
+        """Return the force's potential [J], at joint positions [rad or m]."""
         xp = namespace(q)
         depth = -self.clearance(q) / self.width
         beyond = xp.exp(xp.clip(depth, None, _DEEPEST)) * (
@@ -183,7 +183,7 @@ class HandRepulsion(AbstractPositionTorque):
         return self.strength * self.width * xp.sum(beyond, axis=-1)
 
     def torque(self, q: Float[Array, "*batch joints"]) -> Float[Array, "*batch joints"]:
-        """As the abstract method."""
+        """Return what the abstract method declares."""
         xp = namespace(q)
         point, jacobian = self.hand.locate(q)
         clearance = self._clearance(point)

@@ -201,7 +201,7 @@ def onset(
     envelope: Float[np.ndarray, "patterns 2 samples"],
     noise: float,
 ) -> tuple[Float[np.ndarray, "patterns 2"], Float[np.ndarray, "patterns 2"]]:
-    """When the echo arrives at each receiver, and when its envelope crosses the threshold [s].
+    """Return when the echo arrives at each receiver, and when it crosses the threshold [s].
 
     The crossing comes later than the arrival by the time that a pulse takes to rise as far, if it
     is the pulse that makes the maximum. Of an echo that never exceeds the noise the maximum is

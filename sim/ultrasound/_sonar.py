@@ -74,7 +74,7 @@ class Sonar:
 
     @property
     def absorption(self) -> float:
-        """Of the air at the carrier's frequency [dB/m], at standard pressure."""
+        """Absorption of the air at the carrier's frequency [dB/m], at standard pressure."""
         return absorption(self.frequency, self.temperature, self.humidity)
 
     @property
@@ -101,7 +101,7 @@ class EchoPaths:
     """Cosine of the angle between receiver's axis and path."""
 
     def __add__(self, other: "EchoPaths") -> "EchoPaths":
-        """Both objects' paths, without occlusion."""
+        """Join both objects' paths, without occlusion."""
         mine, theirs = vars(self), vars(other)
         return EchoPaths(**{name: np.concatenate([mine[name], theirs[name]], 1) for name in mine})
 
@@ -149,8 +149,10 @@ def pulse(sonar: Sonar, t: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*b
 
 
 def amplitude(sonar: Sonar, paths: EchoPaths) -> Complex[np.ndarray, "patterns paths 2"]:
-    """Each path's response to a tone of unit pressure 1 m before the emitter: gain, absorption,
-    the emitter's and the receiver's directivity, and phase."""
+    """Return each path's response to a tone of unit pressure 1 m before the emitter.
+
+    It has gain, absorption, the emitter's and the receiver's directivity, and phase.
+    """
     loss = 10 ** (-sonar.absorption * paths.length / 20)
     beams = directivity(sonar, paths.departure) * directivity(sonar, paths.arrival)
     return paths.gain * loss * beams * np.exp(-1j * sonar.wavenumber * paths.length)
@@ -159,8 +161,10 @@ def amplitude(sonar: Sonar, paths: EchoPaths) -> Complex[np.ndarray, "patterns p
 def received(
     sonar: Sonar, paths: EchoPaths
 ) -> tuple[Float[np.ndarray, " patterns"], Complex[np.ndarray, "patterns 2 samples"]]:
-    """When each record begins after the emission [s], and the two demodulated signals from then
-    on, as sums of the echoes of all paths. Both receivers share a clock."""
+    """Return when each record begins after the emission [s], and its two demodulated signals.
+
+    These are sums of the echoes of all paths. Both receivers share a clock.
+    """
     size = amplitude(sonar, paths)
     delay = paths.length / sonar.speed_of_sound
     # A path without sound is no echo: it does not affect when the record begins.

@@ -18,7 +18,6 @@ from jaxcslc.training import (
     inverse_dynamics,
     network_order,
     order_per_output,
-    signed_start,
 )
 
 
@@ -235,26 +234,3 @@ def test_a_panda_s_inputs_are_products_of_sines_and_cosines(rng: np.random.Gener
     variables = np.array([f(angle) for angle in angles for f in (np.cos, np.sin)])
     expected = np.prod(variables ** np.array(monomials)[:, :, None], axis=1)
     assert_allclose(input_rows(algebra.ring, monomials, list(jnp.asarray(q))), expected, atol=1e-14)
-
-
-def test_signed_starts(puma: CSLC) -> None:
-    """5.2.3: signs that the derivation knows; the others either way; moduli up to the scale."""
-    keys = jax.random.split(jax.random.key(1), 400)
-    scale = np.linspace(0.1, 2.0, 43)
-    starts = np.asarray(jax.jit(jax.vmap(lambda key: signed_start(puma, key, scale)))(keys))
-    positive = np.array([coefficient.positive for coefficient in puma.coefficients])
-    assert positive.sum() == 22 and np.all(starts[:, positive] > 0)
-    shares = (starts[:, ~positive] > 0).mean(axis=0)
-    assert np.all(np.abs(shares - 0.5) < 5 * 0.5 / np.sqrt(400))  # five standard deviations
-    moduli = np.abs(starts) / scale
-    assert np.all(moduli <= 1.0)
-    assert_allclose(moduli.mean(axis=0), 0.5, atol=5 * np.sqrt(1 / 12 / 400))
-    assert_allclose(signed_start(puma, keys[3], scale), starts[3], rtol=1e-12)
-
-
-@pytest.mark.parametrize("scale", [np.ones(2), 0.0, np.linspace(-1.0, 1.0, 43), np.nan])
-def test_signed_starts_refused(scale: Any, puma: CSLC) -> None:
-    with pytest.raises(
-        ValueError, match="scale: expected a positive number, or one for each of 43"
-    ):
-        signed_start(puma, jax.random.key(0), scale)

@@ -71,7 +71,7 @@ Loops = tuple[tuple[str, tuple[str, str]], ...]
 
 
 class BodyTree(NamedTuple):
-    """All bodies of a file, parents first; the first is the world."""
+    """Bodies of a file, parents first; the first is the world."""
 
     bodies: tuple[Body, ...]
     gravity: tuple[float, float, float]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxcslc._toml_document import toml_document
+from jaxcslc._plain_data import toml_document
 
 from .._friction import STATIC_SLOPE, Coupling, couplings
 from .._joint import (

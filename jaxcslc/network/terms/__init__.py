@@ -8,7 +8,6 @@ coefficients.
 - `_load_friction`, `_coupled`: friction with the rigid torque, joints that share a shaft.
 - `_rigid_body`: links and motors in any form; `_rigid_body_tables`: in closed form;
   `_rigid_body_recursion`: by recursion, unrolled or as `_rolled` scans of JAX.
-- `_payload`: a body fixed to a link.
 - `_joint_projection`: terms of robots with joints that follow others.
 """
 
@@ -29,7 +28,6 @@ from ._joint_term import (
     LawProperties as LawProperties,
 )
 from ._load_friction import LoadedRigidBody as LoadedRigidBody, LoadFriction as LoadFriction
-from ._payload import PAYLOAD as PAYLOAD, carrier as carrier, payload_term as payload_term
 from ._rigid_body import (
     PARTS as PARTS,
     AbstractExpressedBodies as AbstractExpressedBodies,
@@ -37,8 +35,11 @@ from ._rigid_body import (
     code as code,
 )
 from ._rigid_body_recursion import (
+    PAYLOAD as PAYLOAD,
     RecursiveBodies as RecursiveBodies,
     RigidBodyRecursion as RigidBodyRecursion,
+    carrier as carrier,
+    payload_term as payload_term,
 )
 from ._rigid_body_tables import (
     ClosedForm as ClosedForm,

@@ -329,7 +329,7 @@ def unit_torques(
     qd: Any,
     qdd: Any,
 ) -> Any:
-    """Each joint's torque by each of the ten numbers of every link that it carries.
+    """Return each joint's torque by each of the ten numbers of every link that it carries.
 
     - `paths`: the joints that carry each link.
     - `q`, `qd`, `qdd`: (joints, samples).

@@ -4,26 +4,23 @@
                                                               |
      _known_layouts, _column_mapping (which columns are what) --> ColumnLayout --> Recording
 
-- `_recording_files`: `load_recording`, `save_recording` and reading in chunks.
+- `_recording_files`: `load_recording`, `save_recording`, reading in chunks, and commanded
+  positions of servos.
 - `_tables`, `_bag`: the type of a file, its columns in SI units, and checks.
 - `_layout`: which columns are a recording's, and units.
-- `_command_files`: commanded and measured positions of servos, from the same files.
 - `_known_layouts`: formats that are recognised by their column names.
-- `_column_mapping`: a user's own mapping of columns; `_guess`: one for unknown formats.
+- `_column_mapping`: a user's own mapping of columns, and a guess of one for unknown formats.
 """
 
-from ._column_mapping import ColumnMapping as ColumnMapping
-from ._command_files import (
-    CommandTable as CommandTable,
-    commands_of as commands_of,
-    load_commands as load_commands,
-)
-from ._guess import guessed_mapping as guessed_mapping
+from ._column_mapping import ColumnMapping as ColumnMapping, guessed_mapping as guessed_mapping
 from ._recording_files import (
+    CommandTable as CommandTable,
     RecordingChunk as RecordingChunk,
     column_names_of as column_names_of,
+    commands_of as commands_of,
     iterate_recording as iterate_recording,
     load_columns as load_columns,
+    load_commands as load_commands,
     load_recording as load_recording,
     load_recordings as load_recordings,
     save_recording as save_recording,

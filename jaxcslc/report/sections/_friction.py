@@ -108,7 +108,7 @@ class PreSlidingSection(AbstractSection):
 
 
 class FrictionSection(AbstractSection):
-    """Each joint's friction over its velocity, training recording, thinned for drawing."""
+    """Friction of each joint over its velocity, training recording, thinned for drawing."""
 
     name = "friction_points"
     entries = MappingProxyType({"friction_points": list})

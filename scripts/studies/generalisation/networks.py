@@ -16,7 +16,7 @@ import optax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 
-from jaxcslc.training import LinkEnds, prune
+from scripts.studies.generalisation.pruning import LinkEnds, prune
 
 
 CHUNKS = 20  # of a training, for the progress bar

@@ -27,7 +27,7 @@ import numpy as np
 import jaxcslc as jc
 from jaxcslc._text_table import text_table
 from jaxcslc.report import all_or_nothing, write_csv
-from jaxcslc.training import mean_modulus, signed_start, train
+from jaxcslc.training import mean_modulus, train
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.training.peral_comparison import (
@@ -50,6 +50,38 @@ ZERO, RANDOM, SIGNED = "zero", "random signs", "signs of 5.2.3"
 GOALS = (0.5, 0.75, 0.9, 0.95)
 KEYS = ("rule", "start", "scale")
 OPTIONS = ("seeds", "patterns", "noise", "epochs")
+
+
+def signed_start(network: jc.CSLC, key: jax.Array, scale: np.ndarray | float = 1.0) -> jax.Array:
+    """Draw initial weights of a CSLC whose signs are those of its coefficients (thesis 5.2.3).
+
+    A coefficient that is a sum of masses, moments of inertia and squares is positive, and so are
+    viscous and Coulomb friction (`Coefficient.positive`). Their weights are positive. Every other
+    weight has either sign with equal probability. Moduli are uniform from zero to the scale, and
+    never zero: PERAL leaves a weight of zero as it is.
+
+    **Arguments**
+
+    - `network`: p coefficients.
+    - `key`: of JAX's random numbers; `jax.vmap` over keys draws several starts.
+    - `scale`: greatest modulus of all weights, or of each, (p,), in its unit; positive.
+
+    **Returns** weights in the order of the coefficients, (p,).
+
+    **Raises** `ValueError` for a scale of another shape, or one that is not positive.
+
+    """
+    largest = np.asarray(scale, float)
+    if largest.shape not in ((), (network.size,)) or not np.all(largest > 0):
+        raise ValueError(
+            f"scale: expected a positive number, or one for each of {network.size} coefficients,"
+            f" got shape {largest.shape} and at least {largest.min():g}"
+        )
+    positive = np.array([coefficient.positive for coefficient in network.coefficients])
+    of_moduli, of_signs = jax.random.split(key)
+    moduli = jnp.asarray(largest) * (1.0 - jax.random.uniform(of_moduli, (network.size,), float))
+    negative = jax.random.bernoulli(of_signs, shape=(network.size,)) & ~positive
+    return jnp.where(negative, -moduli, moduli)
 
 
 def starts(start: str, scale: float, seeds: int) -> jax.Array:

@@ -2,11 +2,13 @@
 
 import csv
 from pathlib import Path
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from jaxcslc import CSLC
 from scripts.studies.training import signed_starts as study
@@ -44,3 +46,26 @@ def test_scales_are_positive(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         study.main(["--scales", "0"])
     assert "--scales is [0.0]; expected more than 0" in capsys.readouterr().err
+
+
+def test_signed_starts(puma: CSLC) -> None:
+    """5.2.3: signs that the derivation knows; the others either way; moduli up to the scale."""
+    keys = jax.random.split(jax.random.key(1), 400)
+    scale = np.linspace(0.1, 2.0, 43)
+    starts = np.asarray(jax.jit(jax.vmap(lambda key: study.signed_start(puma, key, scale)))(keys))
+    positive = np.array([coefficient.positive for coefficient in puma.coefficients])
+    assert positive.sum() == 22 and np.all(starts[:, positive] > 0)
+    shares = (starts[:, ~positive] > 0).mean(axis=0)
+    assert np.all(np.abs(shares - 0.5) < 5 * 0.5 / np.sqrt(400))  # five standard deviations
+    moduli = np.abs(starts) / scale
+    assert np.all(moduli <= 1.0)
+    assert_allclose(moduli.mean(axis=0), 0.5, atol=5 * np.sqrt(1 / 12 / 400))
+    assert_allclose(study.signed_start(puma, keys[3], scale), starts[3], rtol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [np.ones(2), 0.0, np.linspace(-1.0, 1.0, 43), np.nan])
+def test_signed_starts_refused(scale: Any, puma: CSLC) -> None:
+    with pytest.raises(
+        ValueError, match="scale: expected a positive number, or one for each of 43"
+    ):
+        study.signed_start(puma, jax.random.key(0), scale)

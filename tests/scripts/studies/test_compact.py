@@ -18,19 +18,17 @@ from jaxcslc.training import (
     ContextLayer,
     FixedRates,
     Layer,
-    LinkEnds,
     Links,
     Plan,
     Signals,
     Subnetwork,
-    compact,
     examples,
     fully_connected,
     half_square,
     inverse_dynamics,
-    prune,
     train,
 )
+from scripts.studies.generalisation.pruning import LinkEnds, compact, prune
 
 
 close: Any = {"rtol": 1e-12, "atol": 1e-13}

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ._network import AdaptiveNetwork, ContextLayer, Layer, Links, Signals, Subnetwork
+from jaxcslc.training import AdaptiveNetwork, ContextLayer, Layer, Links, Signals, Subnetwork
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,7 +136,7 @@ def prune(
       fit the weights, a cost that is no scalar or not finite, or nothing to test.
 
     >>> import jax.numpy as jnp, numpy as np
-    >>> from jaxcslc.training import LinkEnds, prune
+    >>> from scripts.studies.generalisation.pruning import LinkEnds, prune
     >>> x = np.linspace(-1.0, 1.0, 50)
     >>> def cost(w):  # two hidden nodes; the second hardly reaches the output
     ...     return jnp.mean((w[2] * jnp.tanh(w[0] * x) + w[3] * jnp.tanh(w[1] * x) - x) ** 2)
@@ -288,7 +288,8 @@ def compact(
     **Raises** `ValueError` for other shapes, or if no link that is left leads to an output.
 
     >>> import jax.numpy as jnp, numpy as np
-    >>> from jaxcslc.training import compact, fully_connected
+    >>> from jaxcslc.training import fully_connected
+    >>> from scripts.studies.generalisation.pruning import compact
     >>> network = fully_connected([2, 3, 1], ["hyperbolic tangent", "linear combiner"])
     >>> kept = np.ones(network.size, bool)
     >>> kept[[9, 11]] = False  # the links from hidden nodes 1 and 3 to the output

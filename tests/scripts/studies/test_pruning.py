@@ -10,7 +10,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 from numpy.testing import assert_allclose, assert_array_equal
 
-from jaxcslc.training import LinkEnds, prune
+from scripts.studies.generalisation.pruning import LinkEnds, prune
 
 
 INPUTS, HIDDEN, OUTPUTS = 4, 5, 2
