@@ -384,10 +384,9 @@ extern "C" __global__ void __launch_bounds__(THREADS, {resident}) changes(
 _WARPS, _RESIDENT = 4, 3
 # Blocks for each that runs at a time: the last ones end together.
 _WAVES = 4
-_LANES = 32
 # Bytes of shared memory that every block gets, and statements that compile in seconds.
-_SHARED = 48_000
-_MOST = 20_000
+_COST_SHARED = 48_000
+_MOST_STATEMENTS = 20_000
 
 
 def cost_kernel(
@@ -454,9 +453,9 @@ class CostKernel:
         )  # that errors would have been multiplied by
         rows = jnp.concatenate([*condensed, targets, self.cost.shares(counts) * masked])
         patterns, trainings = rows.shape[1], len(weights)
-        tiles = -(-patterns // _LANES)
-        rows = jnp.pad(rows, ((0, 0), (0, tiles * _LANES - patterns)))
-        rows = rows.reshape(len(rows), tiles, _LANES).transpose(1, 0, 2)
+        tiles = -(-patterns // _WARP)
+        rows = jnp.pad(rows, ((0, 0), (0, tiles * _WARP - patterns)))
+        rows = rows.reshape(len(rows), tiles, _WARP).transpose(1, 0, 2)
         arrays = [weights]
         if change is not None and trials is not None:
             arrays += [change.reshape(trainings, -1), trials.reshape(trainings, -1)]
@@ -465,7 +464,7 @@ class CostKernel:
         pieces = min(max(_WAVES * _RESIDENT * multiprocessors() // groups, 1), tiles)
         sizes = jnp.array([trainings, tiles, pieces, groups])
         shape = jax.ShapeDtypeStruct((pieces, self.costs, trainings), jnp.float64)
-        kernel = Kernel("costs", self.source, _WARPS * _LANES)
+        kernel = Kernel("costs", self.source, _WARPS * _WARP)
         (parts,) = kernel(pieces * groups, [shape], rows, numbers, sizes)
         return (jnp.sum(parts, axis=0) * self.cost.scale(counts)).T
 
@@ -475,7 +474,10 @@ class CostKernel:
         outputs, groups = len(self.support), len(self.moved)
         entries = sum(map(len, self.support))
         statements = (entries + self.costs * outputs) * (2 + groups) * self.together
-        return statements <= _MOST and 8 * _WARPS * self.together * self._numbers <= _SHARED
+        return (
+            statements <= _MOST_STATEMENTS
+            and 8 * _WARPS * self.together * self._numbers <= _COST_SHARED
+        )
 
     @property
     def _numbers(self) -> int:
@@ -515,7 +517,7 @@ class CostKernel:
         targets, shares = len(entries), len(entries) + len(outputs)
         parts = sorted({(g, o) for o, weight in entries for g in self._movers(weight)})
         lines = [
-            f"real e{u}_{o} = row[{_LANES * (targets + o)}];"
+            f"real e{u}_{o} = row[{_WARP * (targets + o)}];"
             for o in outputs
             for u in range(self.together)
         ]
@@ -532,11 +534,11 @@ class CostKernel:
             offset += 1 + len(movers)
             for o in (o for o in outputs if (o, weight) in row_of):
                 a = f"a{o}_{weight}"
-                lines.append(f"const real {a} = row[{_LANES * row_of[o, weight]}];")
+                lines.append(f"const real {a} = row[{_WARP * row_of[o, weight]}];")
                 for u in range(self.together):
                     lines.append(f"e{u}_{o} -= {a} * w{u}_{weight};")
                     lines += [f"p{u}_{g}_{o} += {a} * c{u}_{g}_{weight};" for g in movers]
-        lines += [f"const real s{o} = row[{_LANES * (shares + o)}];" for o in outputs]
+        lines += [f"const real s{o} = row[{_WARP * (shares + o)}];" for o in outputs]
         groups = range(len(self.moved)) if self.trials else range(0)
         for cost in range(self.costs):
             for u in range(self.together):
