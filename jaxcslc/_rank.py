@@ -28,7 +28,7 @@ def rank_tolerance(columns: int, rows: Any, rcond: float | None = None) -> Any:
     )
 
 
-def numerical_rank(matrix: Float[np.ndarray, "rows columns"], rcond: float | None = None) -> int:
+def numerical_rank(matrix: Float[np.ndarray, "rows columns"]) -> int:
     """The rank of a matrix by the rule of all least-squares fits.
 
     >>> import numpy as np
@@ -36,7 +36,7 @@ def numerical_rank(matrix: Float[np.ndarray, "rows columns"], rcond: float | Non
     >>> numerical_rank(matrix), numerical_rank(matrix + np.diag([1.0, 1e9], 0)[[0, 1, 1]])
     (1, 2)
     """
-    return len(_decomposed(matrix, rcond)[1])
+    return len(_decomposed(matrix, None)[1])
 
 
 def pseudo_inverse(

@@ -5,7 +5,7 @@ detects lost samples, stuck encoders and reversed torques, and brings the arm to
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -251,7 +251,7 @@ class FaultMonitor(AbstractController):
     breakaway: Float[Array, " joints"]
     torque_limit: Float[Array, " joints"]
     stop_time: float
-    allowed: int = eqx.field(static=True)
+    allowed: ClassVar[int] = 5
 
     def __init__(
         self,
@@ -262,7 +262,6 @@ class FaultMonitor(AbstractController):
         torque_limit: PerJoint,
         breakaway: PerJoint | None = None,
         stop_time: float = 0.3,
-        allowed: int = 5,
     ) -> None:
         """Make a monitored controller.
 
@@ -294,9 +293,7 @@ class FaultMonitor(AbstractController):
                 )
         if not stop_time > 0:
             raise ValueError(f"stop_time is {stop_time} s; expected more than 0")
-        if allowed < 0:
-            raise ValueError(f"allowed is {allowed}; expected 0 or more samples")
-        self.stop_time, self.allowed = stop_time, allowed
+        self.stop_time = stop_time
 
     def begin(self, q: Joints) -> FaultMonitorState:
         """Return the state before the first sample, without faults."""

@@ -4,7 +4,7 @@
 sample; `PayloadCompensation` controls an arm with it. `_equations` has their mathematics.
 """
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -193,10 +193,10 @@ class PayloadEstimator(eqx.Module):
     velocity_threshold: Float[Array, " joints"]
     filter: LowPassChain
     forgetting_time: float
-    evidence_threshold: float
     detection_threshold: float
-    mass_tolerance: float
-    update_every: int = eqx.field(static=True)
+    evidence_threshold: ClassVar[float] = 10.0
+    mass_tolerance: ClassVar[float] = 0.05
+    update_every: ClassVar[int] = 10
 
     def __init__(
         self,
@@ -207,10 +207,7 @@ class PayloadEstimator(eqx.Module):
         velocity_threshold: Joints | float = 0.05,
         filter: LowPassChain | None = None,
         forgetting_time: float = 10.0,
-        evidence_threshold: float = 10.0,
         detection_threshold: float = 60.0,
-        mass_tolerance: float = 0.05,
-        update_every: int = 10,
     ) -> None:
         """Make an estimator for one arm.
 
@@ -243,9 +240,8 @@ class PayloadEstimator(eqx.Module):
         self.filter = LowPassChain(12.0, lags=4) if filter is None else filter
         if self.filter.lags < 3:
             raise ValueError(f"filter has {self.filter.lags} lags; accelerations need 3 or more")
-        self.forgetting_time, self.evidence_threshold = forgetting_time, evidence_threshold
-        self.detection_threshold, self.mass_tolerance = detection_threshold, mass_tolerance
-        self.update_every = update_every
+        self.forgetting_time = forgetting_time
+        self.detection_threshold = detection_threshold
 
     @eqx.filter_jit
     def begin(self, q: Joints) -> PayloadState:

@@ -58,6 +58,7 @@ from ._recording import (
     RecordingError as RecordingError,
     as_columns as as_columns,
     as_float as as_float,
+    check_quantities as check_quantities,
     check_samples as check_samples,
     fresh_rows as fresh_rows,
     stale_rows as stale_rows,

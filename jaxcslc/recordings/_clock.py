@@ -132,7 +132,11 @@ def resample(
     return fresh.at_times(time, between)
 
 
-def restore_clock(recording: Recording, period: float, *, spacing: int = 25) -> Recording:
+# Samples between knots of the splines that estimate velocities from stamped positions.
+_SPACING = 25
+
+
+def restore_clock(recording: Recording, period: float) -> Recording:
     r"""Give samples of an evenly running source the times at which they were taken.
 
     A controller samples to the microsecond; a recorder that listens to it stamps each message
@@ -150,8 +154,6 @@ def restore_clock(recording: Recording, period: float, *, spacing: int = 25) -> 
 
     - `recording`: stamped by its recorder, stale samples included.
     - `period`: of the source [s].
-    - `spacing`: of the averaged splines that estimate the velocities from the stamped positions
-        [samples].
 
     **Returns**
 
@@ -189,7 +191,7 @@ def restore_clock(recording: Recording, period: float, *, spacing: int = 25) -> 
     time = stamps
     # The velocities come from the stamped times first and from the restored ones then.
     for _ in range(2):
-        passed, deviation = _time_passed(time, position / noise, spacing)
+        passed, deviation = _time_passed(time, position / noise)
         determined = deviation < DETERMINED_TO * period
         ticks = _ticks(stamps, np.where(determined, passed, np.nan), period)
         time = np.median(stamps - ticks * period) + ticks * period
@@ -197,7 +199,7 @@ def restore_clock(recording: Recording, period: float, *, spacing: int = 25) -> 
         new = np.append(True, np.diff(ticks) > 0)
         fresh = fresh.rows(new)
         time, stamps, position = time[new], fresh.time, fresh.position
-    passed, deviation = _time_passed(time, position / noise, spacing)
+    passed, deviation = _time_passed(time, position / noise)
     determined = deviation < DETERMINED_TO * period
     if np.mean(determined) < 0.5:
         raise RecordingError(
@@ -222,18 +224,17 @@ def restore_clock(recording: Recording, period: float, *, spacing: int = 25) -> 
 def _time_passed(
     time: Samples,
     scaled: Signals,
-    spacing: int,
 ) -> tuple[Float[np.ndarray, " intervals"], Float[np.ndarray, " intervals"]]:
     """Return the time between samples as the motion determines it, and its standard deviation.
 
     - `scaled`: positions in units of their noise.
     """
-    _, velocity, _ = AveragedSplines(spacing, sections=False).smooth(time, scaled)
+    _, velocity, _ = AveragedSplines(_SPACING, sections=False).smooth(time, scaled)
     between = 0.5 * (velocity[1:] + velocity[:-1])
     squared = np.maximum(np.sum(between**2, axis=1), np.finfo(np.float64).tiny)
     passed = np.sum(np.diff(scaled, axis=0) * between, axis=1) / squared
     # Where the arm sets off or stops, smoothing makes a velocity of one that is not there yet.
-    steady = squared > 0.25 * scipy.ndimage.maximum_filter1d(squared, 2 * spacing + 1)
+    steady = squared > 0.25 * scipy.ndimage.maximum_filter1d(squared, 2 * _SPACING + 1)
     return passed, np.where(steady, np.sqrt(2.0 / squared), np.inf)
 
 

@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 
+# Of a filter whose order is not stated, and of the filter of whole equations.
+_ORDER = 4
 # Periods of the cut-off after which less than 1e-5 is left of what a filter of fourth order has
 # seen: its slowest poles fade by exp(-0.38 · 2π) in each. After twice as many, 1e-10 is left.
 _REFLECTED_PERIODS = 5.0
@@ -27,7 +29,7 @@ def zero_phase(
     interval: float,
     *,
     cutoff: float,
-    order: int = 4,
+    order: int = _ORDER,
 ) -> Float[np.ndarray, " samples *columns"]:
     """Run a Butterworth low-pass filter over a signal forwards and backwards.
 
@@ -173,7 +175,6 @@ def decimated_low_pass(
     interval: float,
     *,
     cutoff: float,
-    order: int = 4,
 ) -> Float[np.ndarray, "columns kept"]:
     """Compute the values of `zero_phase` at some samples only, by matrix products.
 
@@ -188,7 +189,7 @@ def decimated_low_pass(
 
     - `rows`: signals, samples last.
     - `kept`: the samples to compute, in ascending order.
-    - `interval`, `cutoff`, `order`: as of `zero_phase`, with its errors.
+    - `interval`, `cutoff`: as of `zero_phase`, with its errors.
 
     **Returns** the filtered signals at these samples.
 
@@ -199,15 +200,13 @@ def decimated_low_pass(
     >>> bool(np.allclose(filtered, zero_phase(signal.T, 0.005, cutoff=5.0).T[:, kept], atol=1e-5))
     True
     """
-    _check(rows.shape[1], interval, cutoff, order)
+    _check(rows.shape[1], interval, cutoff, _ORDER)
     if not kept.size:
         return np.zeros((len(rows), 0))
     if _REMEMBERED_PERIODS / (cutoff * interval) > rows.shape[1]:
         # The impulse response would be longer than the record.
-        return zero_phase(np.asarray(rows, float).T, interval, cutoff=cutoff, order=order).T[
-            :, kept
-        ]
-    weights = _impulse_response(order, cutoff * interval)
+        return zero_phase(np.asarray(rows, float).T, interval, cutoff=cutoff).T[:, kept]
+    weights = _impulse_response(cutoff * interval)
     reach = len(weights) // 2
     extended = _extended(np.asarray(rows, float), reach)
     step = int(np.gcd.reduce(np.diff(kept))) or 1
@@ -247,15 +246,15 @@ def _extended(
 
 
 @lru_cache(maxsize=64)
-def _impulse_response(order: int, cutoff: float) -> Float[np.ndarray, " lags"]:
+def _impulse_response(cutoff: float) -> Float[np.ndarray, " lags"]:
     """Compute the impulse response of both passes, as far as the filter remembers, with sum 1.
 
     - `cutoff`: as a part of the sampling rate.
     """
-    reach = max(int(np.ceil(_REMEMBERED_PERIODS / cutoff)), 3 * (order + 1))
+    reach = max(int(np.ceil(_REMEMBERED_PERIODS / cutoff)), 3 * (_ORDER + 1))
     impulse = np.zeros(4 * reach + 1)
     impulse[2 * reach] = 1.0
-    response = zero_phase(impulse, 1.0, cutoff=cutoff, order=order)[reach : 3 * reach + 1]
+    response = zero_phase(impulse, 1.0, cutoff=cutoff)[reach : 3 * reach + 1]
     response /= response.sum()
     response.setflags(write=False)
     return response

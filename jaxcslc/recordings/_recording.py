@@ -104,9 +104,42 @@ def check_samples(columns: Mapping[str, Float[np.ndarray, " rows"]]) -> None:
 
     - `columns`: by name, `time` among them; samples count from 1 in the message.
     """
+    samples = len(columns["time"])
+    if samples < MINIMUM_SAMPLES:
+        raise RecordingError(
+            f"{samples} samples; expected at least {MINIMUM_SAMPLES} for an acceleration"
+        )
     if fault := first_fault(columns):
         where = "" if fault.column is None else f", {fault.column}"
         raise RecordingError(f"sample {fault.row + 1}{where}: {fault.problem}")
+
+
+def check_quantities(
+    time: Float[np.ndarray, " samples"],
+    quantities: Mapping[str, Float[np.ndarray, "rows columns"] | None],
+    joint_names: Sequence[str] | None,
+) -> None:
+    """Check the arrays of a recording by name, `"position"` among them.
+
+    **Raises** `RecordingError`: shapes that disagree, names that are not one per joint, or as
+    `check_samples`.
+    """
+    position = quantities["position"]
+    assert position is not None
+    samples, joints = time.size, position.shape[1]
+    for name, values in quantities.items():
+        if values is not None and values.shape != (samples, joints):
+            raise RecordingError(
+                f"{name} has shape {values.shape}; expected ({samples}, {joints}): "
+                f"one row for each of the {samples} times, one column per joint of position"
+            )
+    if joint_names is not None and len(joint_names) != joints:
+        raise RecordingError(
+            f"{len(joint_names)} names of joints; expected {joints}, one for each column"
+        )
+    if joints == 0:
+        raise RecordingError("position has no columns; expected one column per joint")
+    check_samples(as_columns(time, **quantities))
 
 
 def column_names(quantity: str, joints: int) -> list[str]:
@@ -217,24 +250,7 @@ class Recording(eqx.Module):
             "velocity": self.velocity,
             "acceleration": self.acceleration,
         }
-        samples, joints = self.time.size, self.position.shape[1]
-        for name, values in quantities.items():
-            if values is not None and values.shape != (samples, joints):
-                raise RecordingError(
-                    f"{name} has shape {values.shape}; expected ({samples}, {joints}): "
-                    f"one row for each of the {samples} times, one column a joint of position"
-                )
-        if self.joint_names is not None and len(self.joint_names) != joints:
-            raise RecordingError(
-                f"{len(self.joint_names)} names of joints; expected {joints}, one for each column"
-            )
-        if joints == 0:
-            raise RecordingError("position has no columns; expected one column a joint")
-        if samples < MINIMUM_SAMPLES:
-            raise RecordingError(
-                f"{samples} samples; expected at least {MINIMUM_SAMPLES} for an acceleration"
-            )
-        check_samples(as_columns(self.time, **quantities))
+        check_quantities(self.time, quantities, self.joint_names)
 
     @property
     def samples(self) -> int:

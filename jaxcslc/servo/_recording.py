@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from ..recordings import MINIMUM_SAMPLES, RecordingError, as_columns, as_float, check_samples
+from ..recordings import as_float, check_quantities
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
@@ -72,22 +72,7 @@ class ServoRecording:
         quantities = {
             name: as_float(name, values, 2) for name, values in given.items() if values is not None
         }
-        joints = quantities["position"].shape[1]
-        for name, values in quantities.items():
-            if values.shape != (times.size, joints):
-                raise RecordingError(
-                    f"{name} has shape {values.shape}; expected ({times.size}, {joints}):"
-                    f" one row for each of the {times.size} times, one column per joint"
-                )
-        if joint_names is not None and len(joint_names) != joints:
-            raise RecordingError(
-                f"{len(joint_names)} names of joints; expected {joints}, one for each column"
-            )
-        if joints == 0:
-            raise RecordingError("position has no columns; expected one column per joint")
-        if times.size < MINIMUM_SAMPLES:
-            raise RecordingError(f"{times.size} samples; expected at least {MINIMUM_SAMPLES}")
-        check_samples(as_columns(times, **quantities))
+        check_quantities(times, quantities, joint_names)
         fields = {
             **dict.fromkeys(given),
             **quantities,

@@ -184,7 +184,7 @@ class SimulationSection(AbstractSection):
             "simulation": {
                 "seconds": float(result.time[-1] - result.time[0]),
                 "rms": dict(zip(result.names, result.error, strict=True)),
-                "horizon": result.horizon(),
+                "follows_for": result.follows_for(),
             },
             "simulation_text": ["simulation, validation recording", str(result)],
         }

@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float
 
 from ..recordings import (
     DEFAULT_THRESHOLD_FRACTION,
-    MINIMUM_SAMPLES,
     Derivatives,
     Patterns,
     Preparation,
@@ -65,8 +64,6 @@ class SystemRecording:
                 raise RecordingError(
                     f"column {name!r} has shape {values.shape}; expected that of time, {time.shape}"
                 )
-        if len(time) < MINIMUM_SAMPLES:
-            raise RecordingError(f"{len(time)} samples; expected at least {MINIMUM_SAMPLES}")
         check_samples({**columns, "time": time})
 
     @property

@@ -56,7 +56,7 @@ class Simulation:
         its mean."""
         return self.error / np.std(self.recorded, axis=0)
 
-    def horizon(self, limit: float = 0.5) -> float:
+    def follows_for(self, limit: float = 0.5) -> float:
         """Return how long the simulation follows the recording [s].
 
         **Arguments**

@@ -57,7 +57,7 @@ def test_a_first_order_lag_follows_its_closed_form(lag: System) -> None:
     simulation = simulate_system(lag, k, patterns)
     np.testing.assert_allclose(simulation.simulated[:, 0], exact, atol=INTEGRATED)
     assert simulation.names == ("x",)
-    assert simulation.horizon() == pytest.approx(2.0)
+    assert simulation.follows_for() == pytest.approx(2.0)
     # Another coefficient: the closed form of the other solution, and the error between them.
     other = (t + 1.0) / 2.5 - 0.08 + (exact[0] - 0.32) * np.exp(-5.0 * t)
     wrong = simulate_system(lag, lag.separation.values({"a": 0.5, "b": 2.5}), patterns)
@@ -65,7 +65,7 @@ def test_a_first_order_lag_follows_its_closed_form(lag: System) -> None:
     assert wrong.error[0] == pytest.approx(np.sqrt(np.mean((other - exact) ** 2)))
     assert wrong.relative_error[0] == pytest.approx(wrong.error[0] / np.std(exact))
     first = np.flatnonzero(np.abs(other - exact) > 0.3 * np.std(exact))[0]
-    assert wrong.horizon(0.3) == pytest.approx(t[first])
+    assert wrong.follows_for(0.3) == pytest.approx(t[first])
     assert "RMS difference" in str(wrong)
 
 
@@ -163,7 +163,7 @@ def test_a_simulation_without_bounds_is_not_finite_and_says_how_long_it_followed
     patterns = patterns_of(lag, time, x=exact, u=0 * time)
     simulation = simulate_system(lag, lag.separation.values({"a": -1e-3, "b": 1.0}), patterns)
     assert not np.all(np.isfinite(simulation.simulated))
-    assert simulation.horizon() == pytest.approx(time[1])
+    assert simulation.follows_for() == pytest.approx(time[1])
 
 
 def _motion(patterns: Patterns) -> tuple[np.ndarray, ...]:

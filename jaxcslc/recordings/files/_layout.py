@@ -225,15 +225,19 @@ def listed(names: Sequence[str], most: int = 12) -> str:
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
-def beginning(names: Sequence[str], most: int = 12) -> str:
+# What messages show at most: names of columns, and characters.
+_SHOWN, _LONGEST = 12, 300
+
+
+def beginning(names: Sequence[str]) -> str:
     """Return the first columns of a file for a message, as it has them."""
-    return ", ".join(names[:most]) + (", ..." if len(names) > most else "")
+    return ", ".join(names[:_SHOWN]) + (", ..." if len(names) > _SHOWN else "")
 
 
-def one_line(error: Exception, most: int = 300) -> str:
+def one_line(error: Exception) -> str:
     """Return an error's message on one line, cut where it quotes a file's bytes at length."""
     text = " ".join(str(error).split())
-    return text if len(text) <= most else f"{text[:most]} ..."
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
 
 
 _TURN = 2.0 * math.pi

@@ -117,7 +117,7 @@ def simulation_row(
         simulation = simulate_system(system, k, patterns, recorded=example.recorded)
         row |= {
             f"{name}_error": float(np.max(simulation.relative_error)),
-            f"{name}_horizon": simulation.horizon(),
+            f"{name}_horizon": simulation.follows_for(),
             "duration": float(simulation.time[-1] - simulation.time[0]),
         }
     return row
