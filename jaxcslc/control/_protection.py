@@ -7,7 +7,6 @@ detects lost samples, stuck encoders and reversed torques, and brings the arm to
 from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
