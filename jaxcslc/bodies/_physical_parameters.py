@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from .._environment import require
 from ..least_squares import torque_of
-from ..manipulator import LinkParameters, Manipulator, seen_from
+from ..manipulator import TENSOR_ENTRIES, LinkParameters, Manipulator, seen_from
 from ..network import CSLC
 from ..recordings import Patterns
 from ._body import bodies_of, body_of, constrained, link_of
@@ -365,6 +365,6 @@ def _row(link: LinkParameters) -> dict[str, float]:
     centre, tensor = np.asarray(link.centre_of_gravity), np.asarray(link.inertia)
     row = {"mass": float(link.mass)}
     row |= {f"r{axis}": float(value) for axis, value in zip("xyz", centre, strict=True)}
-    for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
+    for a, b in TENSOR_ENTRIES:
         row[f"I{'xyz'[a]}{'xyz'[b]}"] = float(tensor[a, b])
     return row | {"motor_inertia": float(link.motor_inertia)}

@@ -12,7 +12,7 @@ from ._expressions import Expressions, Operation, Value
 # Operations between two values, by what their operands must bind as strongly as; 3 is a product's.
 _BINARY = {"add": ("+", 1, 2), "subtract": ("-", 1, 3), "multiply": ("*", 3, 3)}
 _PRECEDENCE = {"add": 1, "subtract": 1, "negate": 2, "multiply": 3}
-_ATOM = 4
+_ATOM = 4  # a name or a call binds more strongly than any operation
 # Of C's mathematics, and CUDA's, under other names than the graph's, for any x.
 _FUNCTIONS = {
     "reciprocal": "((real)1 / {0})",

@@ -229,9 +229,8 @@ def conditional_integration(
 
 
 # Gravity's columns are compared at this many random poses: a column that vanishes at all of them
-# vanishes everywhere.
-_POSES = 7
-_ZERO = 1e-12
+# vanishes everywhere. Below the latter it is rounding, in the units of a coefficient's factor.
+_POSES, _ZERO = 7, 1e-12
 
 
 class AbstractPositionTorque(abc.ABC):

@@ -21,7 +21,7 @@ from ._lagrange import BODY, Form, InertialTerm, gravity_factors, kinetic_factor
 # Parameters that are regrouped into others where that is possible, as the identification
 # literature does (Gautier and Khalil 1990): mass, then the third first moment, then one moment.
 _REGROUPED_LAST = {"Iyy": 1, "hz": 2, "m": 3}
-_SEED = 1990
+_SEED = 1990  # of the random positions
 _PRIME = 2**521 - 1  # a Mersenne prime
 # Of numerators and denominators that are read back from residues: by chance, a residue is that of a
 # fraction this short once in 2^(521 - 2 * 200).

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ..manipulator import TENSOR_ENTRIES
 from ._chain import (
     ZERO,
     Chain,
@@ -279,5 +280,4 @@ def _body_in_parent(frame: LinkFrame, body: Body) -> list[Any]:
         rotated = tensor[a][b] - outer
         return rotated + trace if a == b else rotated
 
-    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-    return [*(entry(a, b) for a, b in pairs), *add(first, scale(mass, step)), mass]
+    return [*(entry(a, b) for a, b in TENSOR_ENTRIES), *add(first, scale(mass, step)), mass]

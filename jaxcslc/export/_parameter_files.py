@@ -16,6 +16,7 @@ from .._plain_data import toml_document
 from .._scratch import unfinished
 from ..bodies import PhysicalParameters, body_of, link_of, pseudo_inertia
 from ..manipulator import (
+    TENSOR_ENTRIES,
     Element,
     LinkParameters,
     Manipulator,
@@ -214,7 +215,6 @@ def _indentation(text: bytes, start: int) -> bytes:
 
 
 _FULL = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-_INDICES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _ORIENTATIONS = ("quat", "axisangle", "xyaxes", "zaxis", "euler", "diaginertia")
 # What each format stores of all that torque depends on, beside the bodies.
 STORED = {
@@ -338,7 +338,7 @@ def _urdf_numbers(
     return (
         {"xyz": _numbers(body.centre_of_gravity)},
         {"value": _number(body.mass)},
-        {name: _number(tensor[index]) for name, index in zip(_FULL, _INDICES, strict=True)},
+        {name: _number(tensor[index]) for name, index in zip(_FULL, TENSOR_ENTRIES, strict=True)},
     )
 
 
@@ -362,7 +362,7 @@ def _mjcf(
         attributes = {
             "pos": _numbers(body.centre_of_gravity),
             "mass": _number(body.mass),
-            "fullinertia": _numbers([tensor[index] for index in _INDICES]),
+            "fullinertia": _numbers([tensor[index] for index in TENSOR_ENTRIES]),
         }
         joints = element.all("joint")
         named = {child.attributes.get("name", ""): child for child in joints}

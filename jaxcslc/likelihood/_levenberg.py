@@ -109,6 +109,7 @@ class LinearMinimum:
         return best
 
 
+# Dampings that a step is tried with, and halvings of a step whose sum of squares has gone up.
 _MOST_TRIALS, _MOST_HALVINGS = 8, 4
 # A whole step is corrected for what is not linear up to so many times, until the sum of squares
 # falls by this part of what linear equations promise, and as long as what is missing of that falls

@@ -191,6 +191,7 @@ def prior_values(
     return values, precision, fixed
 
 
+# Positions that a recording has at least: five span an acceleration and its neighbours.
 _FEWEST_SAMPLES = 10
 # The share of its dry friction that static friction starts with; the speed at which it has gone to
 # 1/e as a part of the joint's greatest speed, at first, at most and at least.

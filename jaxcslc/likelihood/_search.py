@@ -29,6 +29,7 @@ from ._search_state import (
 )
 
 
+# Steps of a search. Most need 24, and 44 at real arms (docs/likelihood_evidence.md).
 _MOST_STEPS = 60
 # It has converged when a step moves no coefficient by more than this part of a standard error, and
 # linear equations promise less than `PROMISE` of the sum of squares, in units of variances; or less

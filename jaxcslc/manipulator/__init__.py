@@ -31,6 +31,7 @@ from ._joint import (
     Subnumbering as Subnumbering,
 )
 from ._link_parameters import (
+    TENSOR_ENTRIES as TENSOR_ENTRIES,
     LinkInertia as LinkInertia,
     LinkParameters as LinkParameters,
     fixed_together as fixed_together,

@@ -18,6 +18,9 @@ from ._joint import RobotError
 
 InertiaForm = Literal["full", "principal"]
 
+TENSOR_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Entries of an inertia tensor in the order Ixx, Iyy, Izz, Ixy, Ixz, Iyz."""
+
 _ENTRIES: dict[str, tuple[str, ...]] = {
     "full": ("m", "rx", "ry", "rz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz"),
     "principal": ("m", "rx", "ry", "rz", "Ixx", "Iyy", "Izz"),

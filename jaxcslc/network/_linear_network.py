@@ -28,7 +28,7 @@ from .terms import AbstractTerm
 Support = tuple[tuple[int, ...], ...]
 ColumnsOf = Callable[[Any, Any, Any], Sequence[Any]]
 
-_SEED = 42
+_SEED = 42  # of random motions
 # Random motions are tried one after the other: functions that switch, as signs do, are not zero for
 # a part of them only, and the best motion counts.
 _MOTIONS = 4

@@ -130,6 +130,7 @@ class RecursiveEquations(eqx.Module):
         return self.information + jnp.diag(jnp.asarray(1.0 / PRIOR_DEVIATION**2))
 
 
+# Added to variances that are scaled to one, so that a factor exists.
 _REGULARISATION = 1e-9
 # The size of a payload that is expected, as a part of the prior's: some kilogram within 0.2 m.
 _TYPICAL = 0.2

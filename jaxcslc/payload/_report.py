@@ -23,7 +23,7 @@ from ..least_squares import (
     reidentify,
     settings_document,
 )
-from ..manipulator import LinkParameters, Manipulator, seen_from
+from ..manipulator import TENSOR_ENTRIES, LinkParameters, Manipulator, seen_from
 from ..network import CSLC, PAYLOAD
 from ..recordings import Patterns, Recording
 from ..report import ErrorTable, all_or_nothing, compare, write_csv, write_json
@@ -369,7 +369,7 @@ class PayloadReport:
             name, body = self.network.robot.source.links[-1], self.file_body
             centre = ", ".join(f"{x:.4g}" for x in np.asarray(body.centre_of_gravity))
             tensor = np.asarray(body.inertia)
-            moments = ", ".join(f"{tensor[pair]:.4g}" for pair in _PAIRS)
+            moments = ", ".join(f"{tensor[pair]:.4g}" for pair in TENSOR_ENTRIES)
             lines.append(
                 f"possible, in the file's frame of {name}: {float(body.mass):.4g} kg at"
                 f" [{centre}] m; Ixx, Iyy, Izz, Ixy, Ixz, Iyz there {moments} kg m²"
@@ -420,7 +420,6 @@ def _determination_lines(fit: PayloadFit) -> list[str]:
 
 
 _PAYLOAD_UNITS = (*["kg m²"] * 6, *["kg m"] * 3, "kg")  # of `PAYLOAD`
-_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
 def in_last_body_frame(robot: Manipulator, body: LinkParameters | None) -> LinkParameters | None:

@@ -159,7 +159,7 @@ def _rows(
 _THREADS, _WARP = 256, 32
 # Shared memory of a multiprocessor, and what the system takes of it for a block [bytes].
 _SHARED, _OF_SYSTEM = 227 * 1024, 1024
-_MOST_PATTERNS = 8
+_MOST_PATTERNS = 8  # of a block at a time
 
 
 @dataclass(frozen=True)

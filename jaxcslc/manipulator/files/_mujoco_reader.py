@@ -26,13 +26,11 @@ from ._urdf import Edit, simplified
 
 # By which a file's numbers may miss being an inertia, relatively, and absolutely [kg m²]: inertias
 # of links of next to no mass are rounding.
-_ROUNDING = 1e-9
-_SMALLEST = 1e-15
+_ROUNDING, _SMALLEST = 1e-9, 1e-15
 
 # Arms take a tenth of a second and less than 100 MB, most of it MuJoCo itself; the largest of files
-# that are not refused before take 5 s. A bound is for what was made to take more.
-_LONGEST = 20.0
-_MOST_MEMORY = 2 << 30
+# that are not refused before take 5 s. A bound is for what was made to take more [s], [bytes].
+_LONGEST, _MOST_MEMORY = 20.0, 2 << 30
 
 WORLD = "world"  # what MuJoCo calls the body that carries all others
 

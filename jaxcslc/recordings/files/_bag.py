@@ -18,7 +18,7 @@ _STATE = "sensor_msgs/msg/JointState"
 _TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 _ARRAY = "std_msgs/msg/Float64MultiArray"
 _COMMAND_WORDS = ("command", "cmd", "goal", "target", "desired", "reference")
-_NANO = 1_000_000_000
+_NANO = 1_000_000_000  # nanoseconds in a second
 
 
 @dataclasses.dataclass
