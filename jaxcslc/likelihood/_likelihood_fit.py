@@ -440,12 +440,9 @@ class LikelihoodFit(eqx.Module):
     - `spacing`: why positions are as far apart as they are, where `every` was `"auto"`; None
       otherwise.
 
-    >>> import numpy as np, jaxcslc as jc
-    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(robot.with_friction("viscous"), lengths="numeric")
-    >>> t = np.arange(200)[:, None] * 0.01
-    >>> torque = 0.5 * -4 * np.sin(2 * t) + 0.2 * 2 * np.cos(2 * t)
-    >>> recording = jc.Recording(t[:, 0], np.sin(2 * t), torque)
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.turntable("viscous"), lengths="numeric")
+    >>> recording = jc.examples.swing_recording(network, [0.5, 0.2], samples=200)
     >>> result = jc.MaximumLikelihood(torque_sampling="sampled").fit(network, recording)
     >>> result.converged, result.position.shape, result.fit.names
     (True, (200, 1), ('kB1', 'kv1'))
@@ -508,11 +505,8 @@ class Misfit:
     - `mask`: (equations, n), equations that count: neither next to a reversal nor at standstill.
 
     >>> import numpy as np, jaxcslc as jc
-    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, 0, -9.81))
-    >>> network = jc.derive(robot.with_friction("viscous"), lengths="numeric")
-    >>> t = np.arange(200)[:, None] * 0.01
-    >>> torque = 0.5 * -4 * np.sin(2 * t) + 0.2 * 2 * np.cos(2 * t)
-    >>> recording = jc.Recording(t[:, 0], np.sin(2 * t), torque)
+    >>> network = jc.derive(jc.examples.turntable("viscous"), lengths="numeric")
+    >>> recording = jc.examples.swing_recording(network, [0.5, 0.2], samples=200)
     >>> levels = np.array([0.01]), np.array([1e-5])
     >>> estimator = jc.MaximumLikelihood(torque_sampling="sampled")
     >>> right, wrong = (

@@ -91,12 +91,8 @@ class MaximumLikelihood:
     in a prior, or links without `possible`.
 
     >>> import numpy as np, jaxcslc as jc
-    >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(robot.with_friction("viscous"), lengths="numeric")
-    >>> t = np.arange(300)[:, None] * 0.01
-    >>> q, qd, qdd = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2]), q, qd, qdd))
-    >>> recording = jc.Recording(t[:, 0], q, torque)
+    >>> network = jc.derive(jc.examples.pendulum("viscous"), lengths="numeric")
+    >>> recording = jc.examples.swing_recording(network, [0.5, 0.3, -0.1, 0.2], samples=300)
     >>> result = jc.MaximumLikelihood(torque_sampling="sampled").fit(network, recording)
     >>> np.round(result.k, 3).tolist()
     [0.5, 0.3, -0.1, 0.2]

@@ -4,10 +4,18 @@
 are held for 5 ms each, within which Runge and Kutta's method goes in steps of 0.2 ms.
 """
 
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
+from jaxcslc.report import write_csv
+from scripts.studies import command
+from scripts.studies.rows import Rows, made_of
 
 
 INERTIA, WEIGHT, VISCOUS, DRY = 0.4, 3.0, 0.3, 0.8
@@ -65,3 +73,33 @@ def torque_error(network: jc.CSLC, difference: Float[np.ndarray, " coefficients"
     rng = np.random.default_rng(0)
     q, qd, qdd = rng.uniform(-1, 1, (3, 300, 1)) * np.array([1.0, 2.0, 8.0])[:, None, None]
     return float(np.sqrt(np.mean(np.square(network.torque(difference, q, qd, qdd)))))
+
+
+def study_lengths(
+    options: argparse.Namespace,
+    lengths: Sequence[float],
+    module: str,
+    what: str,
+    last: str,
+    rows_of: Callable[[float, int, int], Iterator[dict[str, Any]]],
+    table: Callable[[Sequence[dict[str, Any]], float], str],
+) -> int:
+    """Make the rows that are missing, print a table per length, and write the rows.
+
+    - `lengths`: of pre-sliding [rad].
+    - `module`: file of the study; `what`: the column that tells rows of a recording apart, and
+      `last`: its value in the last of them.
+    """
+    digest = made_of({"samples": options.samples}, [Path(module), Path(__file__)])
+    finished = Rows(options.output / "rows.jsonl", ("length", "seed", what), digest)
+    cases = [(length, seed) for length in lengths for seed in command.seeds_of(options)]
+    for length, seed in command.progress(cases, desc="recordings", unit="recording"):
+        if (length, seed, last) not in finished:
+            for row in rows_of(length, seed, options.samples):
+                finished.add(row)
+    rows = [row for row in finished.all() if (row["length"], row["seed"]) in cases]
+    for length in lengths:
+        print(table(rows, length), end="\n\n")
+    write_csv(options.output / "seeds.csv", rows)
+    print(f"wrote {options.output / 'seeds.csv'}")
+    return 0

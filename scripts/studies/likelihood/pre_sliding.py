@@ -13,10 +13,8 @@ Torque errors are those of the pendulum between fitted and true coefficients, wh
 Rows of finished seeds are kept in `rows.jsonl`; an interrupted run goes on from there.
 """
 
-import argparse
 import time
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,7 +24,6 @@ import jaxcslc as jc
 from jaxcslc._text_table import text_table
 from jaxcslc.friction import fit_pre_sliding
 from jaxcslc.least_squares import Identification
-from jaxcslc.report import write_csv
 from scripts.studies import command
 from scripts.studies.likelihood.dahl_pendulum import (
     INTERVAL,
@@ -35,9 +32,9 @@ from scripts.studies.likelihood.dahl_pendulum import (
     counted,
     pendulum,
     recording,
+    study_lengths,
     torque_error,
 )
-from scripts.studies.rows import Rows, made_of
 
 
 jc.enable_x64()
@@ -125,26 +122,6 @@ def table(rows: Sequence[dict[str, Any]], length: float) -> str:
     return text_table(header, lines)
 
 
-def study(options: argparse.Namespace) -> int:
-    """Makes what is missing, prints the tables and writes the rows."""
-    digest = made_of(
-        {"samples": options.samples},
-        [Path(__file__), Path(__file__).with_name("dahl_pendulum.py")],
-    )
-    finished = Rows(options.output / "rows.jsonl", ("length", "seed", "estimator"), digest)
-    cases = [(length, seed) for length in LENGTHS for seed in command.seeds_of(options)]
-    for length, seed in command.progress(cases, desc="recordings", unit="recording"):
-        if (length, seed, "states, true length") not in finished:
-            for row in rows_of(length, seed, options.samples):
-                finished.add(row)
-    rows = [row for row in finished.all() if (row["length"], row["seed"]) in cases]
-    for length in LENGTHS:
-        print(table(rows, length), end="\n\n")
-    write_csv(options.output / "seeds.csv", rows)
-    print(f"wrote {options.output / 'seeds.csv'}")
-    return 0
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "likelihood_pre_sliding")
     command.add_seeds(parser, 20)
@@ -153,7 +130,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     command.require_least(parser, options, seeds=1, first=0, samples=400)
     return command.run(
         parser,
-        lambda: study(options),
+        lambda: study_lengths(
+            options, LENGTHS, __file__, "estimator", "states, true length", rows_of, table
+        ),
         options.output / "rows.jsonl",
         seconds=4 * 4.0 * options.seeds,
     )
