@@ -431,13 +431,7 @@ def _parquet_pieces(path: Path, cells: Mapping[str, _Cell]) -> Iterator[Columns]
                 batch_size=ROW_GROUP // 4, columns=columns, use_threads=False
             )
             for batch in batches:
-                for name in columns:
-                    nulls = batch.column(name).is_null().to_numpy(zero_copy_only=False)
-                    if nulls.any():
-                        raise RecordingError(
-                            f"{path}: row {row + int(np.argmax(nulls)) + 1}, column {name}: "
-                            "an empty cell; expected a number"
-                        )
+                _check_cells(path, row, batch, columns)
                 yield {
                     name: _array(_numbers(path, row, cell, batch.column(cell.column)))
                     for name, cell in cells.items()
@@ -445,6 +439,17 @@ def _parquet_pieces(path: Path, cells: Mapping[str, _Cell]) -> Iterator[Columns]
                 row += batch.num_rows
     except (pa.ArrowInvalid, UnicodeDecodeError, OSError) as error:
         raise RecordingError(f"{path}: is damaged after row {row}: {one_line(error)}") from error
+
+
+def _check_cells(path: Path, row: int, batch: pa.RecordBatch, columns: Sequence[str]) -> None:
+    """**Raises** `RecordingError` for an empty cell; `row` rows come before the batch."""
+    for name in columns:
+        nulls = batch.column(name).is_null().to_numpy(zero_copy_only=False)
+        if nulls.any():
+            raise RecordingError(
+                f"{path}: row {row + int(np.argmax(nulls)) + 1}, column {name}: "
+                "an empty cell; expected a number"
+            )
 
 
 def _numbers(path: Path, row: int, cell: _Cell, column: Any) -> pa.Array:
