@@ -26,6 +26,7 @@ from jaxcslc.training import (
     fully_connected,
     half_square,
     inverse_dynamics,
+    normal_equations,
     train,
 )
 from scripts.studies.generalisation.pruning import LinkEnds, compact, prune
@@ -155,8 +156,9 @@ def test_a_cslc_loses_the_links_of_a_coefficient(puma: CSLC, rng: np.random.Gene
 
     # It learns as any other: from zero weights to the torques.
     torque = np.asarray(puma.torque(jnp.asarray(k * kept), *motion))
-    plan = Plan(Backpropagation(), FixedRates(0.1), cost=half_square)
     patterns = examples(smaller, motion, torque)
+    steepest = float(np.linalg.eigvalsh(np.asarray(normal_equations(smaller, patterns).gram))[-1])
+    plan = Plan(Backpropagation(), FixedRates(1.0 / steepest), cost=half_square)
     trained = train(smaller, patterns, np.zeros(smaller.size), plan, epochs=3)
     assert trained.cost < half_square(jnp.asarray(torque.T), jnp.ones(torque.T.shape))
 
