@@ -108,9 +108,7 @@ class ComputedTorque(AbstractController):
         - `pose`: (n,) where the constant diagonal is computed, zeros if omitted [rad or m]. Only
           used without the mass term.
 
-        **Raises**
-
-        - `ValueError`: an unknown option, or a wrong number of values or one out of range.
+        **Raises** `ValueError`: an unknown option, or a wrong number of values or one out of range.
         """
         n = network.joint_count
         if isinstance(compensation, str):

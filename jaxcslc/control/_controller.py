@@ -99,9 +99,7 @@ class AbstractController(eqx.Module):
 
         **Returns** the torque, (*batch, n) [N m or N], and the state for the next step.
 
-        **Raises**
-
-        - `ValueError`: the controller needs velocities and got none.
+        **Raises** `ValueError`: the controller needs velocities and got none.
         """
 
 
@@ -288,9 +286,7 @@ class Gravity(eqx.Module, AbstractPositionTorque):
         - `network`, `k`: (p,) the dynamics.
         - `joints`: counted from 1.
 
-        **Raises**
-
-        - `ValueError`: there is no such joint.
+        **Raises** `ValueError`: there is no such joint.
 
         >>> import jax.numpy as jnp, jaxcslc as jc
         >>> from jaxcslc.control import Gravity
@@ -398,10 +394,8 @@ class PID(AbstractController):
         - `integration`: Euler's rule for the integral. `"forward"` takes the errors up to the
           previous sample, `"backward"` those after the first sample and including this one.
 
-        **Raises**
-
-        - `ValueError`: a wrong number of gains, a negative one, or an unknown rule; names it and
-          the joint.
+        **Raises** `ValueError`: a wrong number of gains, a negative one, or an unknown rule; names
+        it and the joint.
         """
         self.position_gain = per_joint("position_gain", position_gain, joints, 0.0)
         self.integral_gain = per_joint("integral_gain", integral_gain, joints, 0.0)

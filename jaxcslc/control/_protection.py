@@ -86,10 +86,8 @@ class JointLimitAvoidance(AbstractController):
 
         **Arguments** are the attributes; one number stands for all joints.
 
-        **Raises**
-
-        - `ValueError`: a wrong number of ranges, limits, rates or coefficients; a range that ends
-          before it begins; a negative limit or rate.
+        **Raises** `ValueError`: a wrong number of ranges, limits, rates or coefficients; a range
+        that ends before it begins; a negative limit or rate.
         """
         n = network.joint_count
         self.controller, self.network, self.k = (
@@ -267,9 +265,7 @@ class FaultMonitor(AbstractController):
         **Arguments** are the attributes. If omitted, `breakaway` is `_STICTION` (1.6) times the
         friction of a very slow joint plus 2 % of the torque limit.
 
-        **Raises**
-
-        - `ValueError`: a wrong number of values or coefficients, or a value out of range.
+        **Raises** `ValueError`: a wrong number of values or coefficients, or a value out of range.
         """
         n = network.joint_count
         self.controller, self.network, self.k = (

@@ -71,9 +71,7 @@ class LowPassChain(eqx.Module):
     def __init__(self, corner: float | Float[Array | np.ndarray, "..."], lags: int = 3) -> None:
         """Make a filter with its corner frequency [Hz] and number of lags.
 
-        **Raises**
-
-        - `ValueError`: a corner frequency that is not above 0, or fewer than two lags.
+        **Raises** `ValueError`: a corner frequency that is not above 0, or fewer than two lags.
         """
         if not isinstance(corner, Tracer) and not np.all(np.asarray(corner) > 0):
             raise ValueError(f"corner is {corner}; expected more than 0 Hz")

@@ -184,9 +184,7 @@ def link_poses(
     - `robot`: n joints, every length with a value.
     - `q`: (..., n) positions [rad or m]; NumPy's, or JAX's, which can be traced.
 
-    **Raises**
-
-    - `RobotError`: a length without value.
+    **Raises** `RobotError`: a length without value.
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.manipulator import link_poses
@@ -211,9 +209,7 @@ def joint_lines(
 ) -> Float[np.ndarray, "*batch joints 2 3"]:
     """Return lines from the frame that carries a joint to the joint's own, in the base frame [m].
 
-    **Raises**
-
-    - `RobotError`: a length without value.
+    **Raises** `RobotError`: a length without value.
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.manipulator import joint_lines

@@ -279,10 +279,8 @@ class CSLC(AbstractLinearNetwork):
           `asymmetric_viscous`, `asymmetric_dry`: (n, 2), forwards and backwards; `coupled`:
           (pairs, 3), shared inertia, viscous and dry friction of coupled joints.
 
-        **Raises**
-
-        - `ValueError`: if the number of links or friction values is not that of the joints, or
-          if the network, or one of its joints, lacks a term or a payload that has values.
+        **Raises** `ValueError`: if the number of links or friction values is not that of the
+        joints, or if the network, or one of its joints, lacks a term or a payload that has values.
 
         >>> import jaxcslc as jc
         >>> robot = jc.puma560().with_gravity((0, 0, -9.814))

@@ -39,9 +39,7 @@ def torque_noise(
 
     **Returns** (n,) [N² m² s].
 
-    **Raises**
-
-    - `ValueError`: a joint has fewer than four such blocks; names it.
+    **Raises** `ValueError`: a joint has fewer than four such blocks; names it.
 
     >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
     >>> from jaxcslc.payload import torque_noise

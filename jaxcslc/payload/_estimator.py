@@ -220,9 +220,8 @@ class PayloadEstimator(eqx.Module):
         - the others: as the attributes. The filter has four lags of 12 Hz if omitted. (Y of the
           filtered motion is not the filtered Y: at 8 Hz, masses were 0.3 to 0.5 % too small.)
 
-        **Raises**
-
-        - `ValueError`: a wrong number of coefficients or joints, or noise that is not above 0.
+        **Raises** `ValueError`: a wrong number of coefficients or joints, or noise that is not
+        above 0.
         """
         self.network = network if network.payload is not None else network.with_payload()
         arm, n = self.network.layout.unloaded.stop, self.network.joint_count
@@ -499,9 +498,7 @@ class PayloadCompensation(AbstractController):
 
         **Arguments** are the attributes.
 
-        **Raises**
-
-        - `ValueError`: controller and estimator have different networks.
+        **Raises** `ValueError`: controller and estimator have different networks.
         """
         arm_k = controller.k[controller.network.layout.unloaded]
         if arm_k.shape != estimator.k.shape:

@@ -40,9 +40,7 @@ def align_torque(torque: Signals, alignment: TorqueAlignment) -> Signals:
     The aligned torques, shape `(samples, joints)`. The demand before the first
     sample is unknown; the first sample keeps its torque.
 
-    **Raises**
-
-    - `ValueError`: an alignment that is none of the three.
+    **Raises** `ValueError`: an alignment that is none of the three.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import align_torque

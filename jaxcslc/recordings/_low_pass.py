@@ -45,10 +45,8 @@ def zero_phase(
 
     **Returns** the filtered signal, of the same shape, a linear function of the signal.
 
-    **Raises**
-
-    - `ValueError`: a cut-off that is not from 1e-6 times to half the sampling rate, or fewer
-        samples than the filter needs to start from.
+    **Raises** `ValueError`: a cut-off that is not from 1e-6 times to half the sampling rate, or
+    fewer samples than the filter needs to start from.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import zero_phase
@@ -339,9 +337,7 @@ def parallel_filter(
 
     **Returns** the equations that are left. There are none where nothing counts.
 
-    **Raises**
-
-    - `ValueError`: a cut-off that the sampling rate does not allow.
+    **Raises** `ValueError`: a cut-off that the sampling rate does not allow.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import parallel_filter

@@ -84,9 +84,7 @@ def friction_thresholds(
 
     The thresholds, shape `(joints,)` [rad/s or m/s].
 
-    **Raises**
-
-    - `ValueError`: a fraction below 0 or not below 1, or a wrong number of them.
+    **Raises** `ValueError`: a fraction below 0 or not below 1, or a wrong number of them.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import friction_thresholds
@@ -138,9 +136,7 @@ def friction_mask(qd: Signals, thresholds: Thresholds) -> Bool[np.ndarray, "samp
     True where `|qd| > threshold`, shape `(samples, joints)`. A joint that does not move never
     slides, whatever its threshold.
 
-    **Raises**
-
-    - `ValueError`: a threshold that is negative or no number, or a wrong number of them.
+    **Raises** `ValueError`: a threshold that is negative or no number, or a wrong number of them.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import friction_mask
@@ -176,9 +172,7 @@ def away_from_reversals(qd: Signals, margin: int) -> Bool[np.ndarray, "samples j
     velocities between two signs belong to the reversal; standing still between two motions the
     same way is none.
 
-    **Raises**
-
-    - `ValueError`: a negative margin.
+    **Raises** `ValueError`: a negative margin.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import away_from_reversals

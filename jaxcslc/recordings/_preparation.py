@@ -132,9 +132,7 @@ def joined_patterns(parts: Sequence[Patterns]) -> Patterns:
 def check_some_left(patterns: Patterns) -> None:
     """Check that masks leave some pair of a joint and a sample.
 
-    **Raises**
-
-    - `ValueError`: naming the joints and the mask that leaves nothing of them.
+    **Raises** `ValueError`: naming the joints and the mask that leaves nothing of them.
     """
     if np.any(patterns.mask):
         return
@@ -199,9 +197,7 @@ class Preparation:
     - `trim`: samples to drop at both ends; by default as far as the smoothing reaches or the
       torque lags.
 
-    **Raises**
-
-    - `ValueError`: options that make no sense.
+    **Raises** `ValueError`: options that make no sense.
 
     >>> import numpy as np, jaxcslc as jc
     >>> preparation = jc.Preparation(jc.Butterworth(20.0), torque_alignment="mean")
@@ -257,10 +253,8 @@ class Preparation:
 
         - `ranges`: of `resting_range`, if they are known already.
 
-        **Raises**
-
-        - `ValueError`: time that the smoothing cannot use, too few samples, or recorded
-          velocities that are to be used and are absent.
+        **Raises** `ValueError`: time that the smoothing cannot use, too few samples, or recorded
+        velocities that are to be used and are absent.
         """
         time = recording.time
         q, qd, qdd = self.smoothing.smooth(time, recording.position)
@@ -288,11 +282,9 @@ class Preparation:
 
         The patterns, `trimmed` samples fewer at both ends.
 
-        **Raises**
-
-        - `ValueError`: as `derivatives`, or a selection that leaves nothing. Joints of which
-          nothing is left are named; a joint alone without a pair is an error only when no other
-          joint has one, since its coefficients may show in the others' torques.
+        **Raises** `ValueError`: as `derivatives`, or a selection that leaves nothing. Joints of
+        which nothing is left are named; a joint alone without a pair is an error only when no other
+        joint has one, since its coefficients may show in the others' torques.
         """
         if derivatives is None:
             derivatives = self.derivatives(recording)
@@ -327,9 +319,7 @@ class Preparation:
 
         - `qd`: velocities, shape `(samples, joints)` [rad/s or m/s].
 
-        **Raises**
-
-        - `ValueError`: fractions of another number of joints.
+        **Raises** `ValueError`: fractions of another number of joints.
 
         >>> import numpy as np, jaxcslc as jc
         >>> jc.Preparation(threshold_fraction=0.1).speed_thresholds(np.array([[2.0], [-4.0]]))

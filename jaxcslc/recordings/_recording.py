@@ -224,11 +224,9 @@ class Recording(eqx.Module):
 
         As the attributes; anything that NumPy can turn into float64 arrays of those shapes.
 
-        **Raises**
-
-        - `RecordingError`: shapes that disagree, fewer than five samples, values that are not
-            finite, or time that does not strictly increase. Samples and joints count from 1 in
-            the message.
+        **Raises** `RecordingError`: shapes that disagree, fewer than five samples, values that are
+        not finite, or time that does not strictly increase. Samples and joints count from 1 in the
+        message.
         """
         self.time = as_float("time", time, 1)
         self.position = as_float("position", position, 2)
@@ -269,9 +267,7 @@ class Recording(eqx.Module):
 
         - `selected`: a slice, or True for each sample to keep, shape `(samples,)`.
 
-        **Raises**
-
-        - `RecordingError`: fewer than five are left.
+        **Raises** `RecordingError`: fewer than five are left.
         """
         return self.at_times(self.time[selected], lambda values: values[selected])
 
@@ -338,9 +334,7 @@ class Recording(eqx.Module):
 
         - `start`, `end`: seconds since the first sample; both ends belong to the segment.
 
-        **Raises**
-
-        - `RecordingError`: fewer than five samples are left.
+        **Raises** `RecordingError`: fewer than five samples are left.
 
         >>> import numpy as np
         >>> from jaxcslc.recordings import Recording
@@ -368,9 +362,7 @@ def without_stale_rows(recording: Recording) -> Recording:
     The recording without its stale rows; its time is then not uniform. See `resample` for
     methods that need uniform time.
 
-    **Raises**
-
-    - `RecordingError`: too few samples are left.
+    **Raises** `RecordingError`: too few samples are left.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import Recording, without_stale_rows

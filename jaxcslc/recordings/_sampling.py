@@ -104,9 +104,7 @@ class Sampling:
 def uniform_interval(time: Samples) -> float:
     """Return the interval of uniformly spaced times [s].
 
-    **Raises**
-
-    - `ValueError`: times that are not uniform; samples count from 1 in the message.
+    **Raises** `ValueError`: times that are not uniform; samples count from 1 in the message.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import uniform_interval

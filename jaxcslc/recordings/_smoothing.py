@@ -66,9 +66,7 @@ class AbstractSmoothing(eqx.Module):
         - `time`: instants of the samples, shape `(samples,)` [s].
         - `position`: joint positions, shape `(samples, joints)` [rad or m].
 
-        **Raises**
-
-        - `ValueError`: too few samples, or time that the method cannot use.
+        **Raises** `ValueError`: too few samples, or time that the method cannot use.
         """
 
     @abc.abstractmethod
@@ -120,9 +118,7 @@ def register_smoothing(name: str) -> Callable[[_Smoothing], _Smoothing]:
     The fields of the class are written beside the name: numbers, words, flags, None, or tuples of
     them.
 
-    **Raises**
-
-    - `ValueError`: a name that another class has.
+    **Raises** `ValueError`: a name that another class has.
 
     >>> from jaxcslc.recordings import Butterworth, register_smoothing
     >>> register_smoothing("butterworth")(Butterworth) is Butterworth
@@ -143,9 +139,7 @@ def register_smoothing(name: str) -> Callable[[_Smoothing], _Smoothing]:
 def smoothing_document(smoothing: AbstractSmoothing) -> dict[str, Any]:
     """Return a smoothing as plain data: its registered name as `"method"`, and its fields.
 
-    **Raises**
-
-    - `ValueError`: a class that is not registered.
+    **Raises** `ValueError`: a class that is not registered.
 
     >>> import jaxcslc as jc
     >>> from jaxcslc.recordings import smoothing_document
@@ -165,9 +159,7 @@ def smoothing_document(smoothing: AbstractSmoothing) -> dict[str, Any]:
 def smoothing_from(document: Any) -> AbstractSmoothing:
     """Return a smoothing from what `smoothing_document` made, read from JSON or TOML.
 
-    **Raises**
-
-    - `ValueError`: an unknown method or wrong fields.
+    **Raises** `ValueError`: an unknown method or wrong fields.
 
     >>> from jaxcslc.recordings import smoothing_from
     >>> smoothing_from({"method": "averaged_splines", "spacing": [9, 17]}).spacing

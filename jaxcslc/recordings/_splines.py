@@ -486,9 +486,7 @@ def left_out_error(
 
     The root mean square of the errors, shape `(joints,)` [rad or m].
 
-    **Raises**
-
-    - `ValueError`: a spacing of 1, of which no spline would be left.
+    **Raises** `ValueError`: a spacing of 1, of which no spline would be left.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import AveragedSplines, left_out_error
@@ -551,9 +549,7 @@ def choose_spacing(
 
     One spacing for each joint.
 
-    **Raises**
-
-    - `ValueError`: no candidates, one below 2, or a negative resolution.
+    **Raises** `ValueError`: no candidates, one below 2, or a negative resolution.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import choose_spacing

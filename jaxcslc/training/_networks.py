@@ -240,9 +240,7 @@ def subnetwork_masks(
     True where a pair counts, shape `(subnetworks, samples, n)`: the `counts` of
     `jaxcslc.training.examples`.
 
-    **Raises**
-
-    - `ValueError`: for another network, whose subnetworks are not of inverse dynamics.
+    **Raises** `ValueError`: for another network, whose subnetworks are not of inverse dynamics.
 
     >>> import numpy as np, jaxcslc as jc
     >>> from jaxcslc.training import inverse_dynamics, subnetwork_masks

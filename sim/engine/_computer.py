@@ -70,9 +70,7 @@ class Computer:
     def begin(self, reading: Float[Array, "*batch joints"]) -> ComputerState:
         """The state before the first sample, with the joints at rest.
 
-        **Raises**
-
-        - `MachineError`: one controller for each machine, but another number of them.
+        **Raises** `MachineError`: one controller for each machine, but another number of them.
         """
         self._check_count(reading)
         if not isinstance(reading, np.ndarray):

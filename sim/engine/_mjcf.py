@@ -195,9 +195,7 @@ class RigidBody(NamedTuple):
 def rigid_bodies(robot: Manipulator, links: Sequence[LinkParameters]) -> list[RigidBody]:
     """The bodies of a robot's links.
 
-    **Raises**
-
-    - `MachineError`: link parameters that cannot be made into rigid bodies.
+    **Raises** `MachineError`: link parameters that cannot be made into rigid bodies.
     """
     return [
         RigidBody(

@@ -424,9 +424,7 @@ def perform_mjx(
     compiled anew. The results agree with those of `perform` to rounding, which open-loop motion
     through stick and slip magnifies.
 
-    **Raises**
-
-    - `MachineError`: as `perform`; and if JAX's 64-bit mode is off.
+    **Raises** `MachineError`: as `perform`; and if JAX's 64-bit mode is off.
     """
     if jnp.zeros(()).dtype != np.float64:
         raise MachineError("JAX's 64-bit mode is off; expected it on (jax_enable_x64) for MJX")

@@ -30,9 +30,7 @@ def check_gravity(machine: Machine, links: Sequence[LinkParameters]) -> None:
 
     - `links`: of the machine, with what it carries.
 
-    **Raises**
-
-    - `MachineError`: names the first joint whose torque limit is below gravity's need.
+    **Raises** `MachineError`: names the first joint whose torque limit is below gravity's need.
     """
     limits = np.array(machine.maximum_torque)
     if not np.isfinite(limits).any() or not any(machine.robot.gravity):
@@ -103,10 +101,8 @@ _LARGEST_PHASE = 1.5
 def model_of(machine: Machine, step: float) -> mujoco.MjModel:
     """A machine's mechanics as a MuJoCo model with a time step [s].
 
-    **Raises**
-
-    - `MachineError`: a torque limit below gravity's need, or a time step too long for a
-        transmission.
+    **Raises** `MachineError`: a torque limit below gravity's need, or a time step too long for a
+    transmission.
     """
     friction, links = friction_of(machine), machine.links
     check_gravity(machine, links)
@@ -159,9 +155,7 @@ def check_time_step(
 ) -> None:
     """Refuses a step too long for the quickest oscillation or decay of a machine's transmissions.
 
-    **Raises**
-
-    - `MachineError`: names the joint and the longest step.
+    **Raises** `MachineError`: names the joint and the longest step.
     """
     n, dofs = machine.joint_count, model.nv
     transmission = Transmission.of(machine)

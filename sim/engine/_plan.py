@@ -37,9 +37,7 @@ class RandomDraws:
     def of(cls, machine: Machine, trajectory: Trajectory, seed: int) -> "RandomDraws":
         """The draws of one recording.
 
-        **Raises**
-
-        - `MachineError`: the trajectory is for another number of joints.
+        **Raises** `MachineError`: the trajectory is for another number of joints.
         """
         n = machine.joint_count
         if trajectory.start.shape != (n,):
@@ -74,9 +72,8 @@ class Plan:
     def of(cls, machines: Sequence[Machine], interval: float) -> "Plan":
         """The plan for machines side by side and a sampling interval [s].
 
-        **Raises**
-
-        - `MachineError`: machines of different structure; a torque delay as long as the interval.
+        **Raises** `MachineError`: machines of different structure; a torque delay as long as the
+        interval.
         """
         if len({structure(machine) for machine in machines}) != 1:
             raise MachineError(

@@ -245,10 +245,8 @@ class Plant:
         - `threads`: how many to use.
         - `hardware`: of the machines; made from them if omitted.
 
-        **Raises**
-
-        - `MachineError`: machines of different structure, a torque limit below gravity's need,
-            a time step too long for a transmission, a torque delay as long as the interval.
+        **Raises** `MachineError`: machines of different structure, a torque limit below gravity's
+        need, a time step too long for a transmission, a torque delay as long as the interval.
         """
         self._alone = isinstance(machines, Machine)
         group = [machines] if isinstance(machines, Machine) else list(machines)
@@ -353,9 +351,7 @@ class Plant:
 
         - `body`: in the last link's frame; None for none.
 
-        **Raises**
-
-        - `MachineError`: as for a machine with such a link.
+        **Raises** `MachineError`: as for a machine with such a link.
 
         >>> import numpy as np
         >>> import jaxcslc, sim

@@ -204,9 +204,7 @@ def perform(
 def thread_count(threads: int | None, machines: int) -> int:
     """Return how many threads to use: as many as the process has cores, unless specified.
 
-    **Raises**
-
-    - `ValueError`: fewer than one.
+    **Raises** `ValueError`: fewer than one.
     """
     count = len(os.sched_getaffinity(0)) if threads is None else threads
     if count < 1:

@@ -48,10 +48,8 @@ def possible_links(
 
     The parameters, changed where they had to be.
 
-    **Raises**
-
-    - `MachineError`: a link has negative mass, or a spread that is negative across its joint's
-        axis, which no neighbour can supply.
+    **Raises** `MachineError`: a link has negative mass, or a spread that is negative across its
+    joint's axis, which no neighbour can supply.
 
     >>> import jaxcslc
     >>> from sim import possible_links

@@ -78,9 +78,7 @@ def disturbed(machine: Machine, *names: str) -> Machine:
     - `names`: keys of `DISTURBANCES`; all of them if omitted. Backlash beside compliance is
         a dead band in compliant gears.
 
-    **Raises**
-
-    - `MachineError`: an unknown name, or a machine of another number of joints than six.
+    **Raises** `MachineError`: an unknown name, or a machine of another number of joints than six.
 
     >>> import sim
     >>> machine = sim.disturbed(sim.puma560(), "backlash", "compliance")

@@ -27,9 +27,7 @@ class Load:
     Several loads at a time are carried together. Grasping is not simulated: the body has the
     hand's velocity when it is picked up.
 
-    **Raises**
-
-    - `MachineError`: a body that cannot be, or times that do not follow each other.
+    **Raises** `MachineError`: a body that cannot be, or times that do not follow each other.
 
     >>> import numpy as np
     >>> import jaxcslc, sim
@@ -150,9 +148,8 @@ class Fault:
 
     It acts from the first sample at or after `start` until the last one before `stop`.
 
-    **Raises**
-
-    - `MachineError`: another kind, a joint below 1, or times that do not follow each other.
+    **Raises** `MachineError`: another kind, a joint below 1, or times that do not follow each
+    other.
 
     >>> import sim
     >>> sim.Fault("stuck encoder", 2, start=0.5).stop is None
@@ -198,9 +195,7 @@ class Faults(NamedTuple):
     ) -> "Faults":
         """The faults of some joints at `time` [s].
 
-        **Raises**
-
-        - `MachineError`: a joint number beyond the machine's.
+        **Raises** `MachineError`: a joint number beyond the machine's.
         """
         active = {kind: np.zeros((time.size, joints), dtype=bool) for kind in FAULTS}
         for fault in faults:

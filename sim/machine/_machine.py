@@ -22,9 +22,7 @@ class Machine:
     encoder is mounted, and its link. Friction is divided between them. Quantities of a rotor are
     expressed at the joint, after the gear reduction.
 
-    **Raises**
-
-    - `MachineError`: naming the field and the joint of a value that no machine can have.
+    **Raises** `MachineError`: naming the field and the joint of a value that no machine can have.
 
     >>> import dataclasses
     >>> import sim

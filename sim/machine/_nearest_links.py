@@ -147,10 +147,8 @@ def nearest_links(
 
     The links, one a joint. Deterministic.
 
-    **Raises**
-
-    - `MachineError`: the robot has no links or a full inertia tensor, a number is not finite or
-        out of range, or there are not as many as the robot has coefficients.
+    **Raises** `MachineError`: the robot has no links or a full inertia tensor, a number is not
+    finite or out of range, or there are not as many as the robot has coefficients.
 
     >>> import dataclasses
     >>> import numpy as np

@@ -77,9 +77,7 @@ def specimen(machine: Machine, seed: int, *, links: float = 0.1, friction: float
     - `seed`: which specimen.
     - `links`, `friction`: largest relative deviation, from 0 to below 1.
 
-    **Raises**
-
-    - `ValueError`: a deviation outside that range.
+    **Raises** `ValueError`: a deviation outside that range.
 
     >>> import sim
     >>> sim.specimen(sim.puma560(), 1).dry == sim.puma560().dry

@@ -65,9 +65,7 @@ class ThesisCoefficients:
 def thesis_coefficients(machine: str) -> ThesisCoefficients:
     """Appendix B's identified coefficients of PUMA `"A"` or `"B"`, as printed.
 
-    **Raises**
-
-    - `MachineError`: there is no such machine.
+    **Raises** `MachineError`: there is no such machine.
 
     >>> from sim import thesis_coefficients
     >>> float(thesis_coefficients("A").gravity[3])

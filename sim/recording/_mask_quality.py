@@ -93,9 +93,7 @@ def mask_quality(
 
     **Returns** a `MaskQuality`.
 
-    **Raises**
-
-    - `ValueError`: if the shapes differ.
+    **Raises** `ValueError`: if the shapes differ.
 
     >>> import numpy as np
     >>> import sim

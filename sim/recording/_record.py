@@ -39,9 +39,7 @@ def fingerprint(*values: Any) -> str:
 
     Forty hexadecimal digits.
 
-    **Raises**
-
-    - `TypeError`: a value of another type.
+    **Raises** `TypeError`: a value of another type.
 
     >>> import sim
     >>> from sim.recording._record import fingerprint
@@ -114,9 +112,7 @@ def save(folder: Path, name: str, result: SimulatedRecording) -> None:
 def load(folder: Path, name: str) -> SimulatedRecording | None:
     """The recording that `save` saved under a name, or None.
 
-    **Raises**
-
-    - `ValueError`: a file that `save` did not write.
+    **Raises** `ValueError`: a file that `save` did not write.
     """
     path = folder / f"{name}.npz"
     if not path.exists():
@@ -231,9 +227,7 @@ def record_each(
     An iterator of pairs: the job's number, counted from 0, and its recording and truth or the
     error that ended it. In the order in which they are made.
 
-    **Raises**
-
-    - `MachineError`: as `record`, with the number of the job.
+    **Raises** `MachineError`: as `record`, with the number of the job.
     """
     if backend not in _SIDE_BY_SIDE:
         raise ValueError(f"backend is {backend!r}; expected 'mujoco' or 'mjx'")

@@ -59,9 +59,7 @@ class Hand:
     def of(cls, robot: Manipulator, point: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> "Hand":
         """A point of a manipulator's last link, its frame's origin if omitted [m].
 
-        **Raises**
-
-        - `jaxcslc.RobotError`: a length has no value.
+        **Raises** `jaxcslc.RobotError`: a length has no value.
         """
         robot.length_values()  # names the length that has no value
         n = robot.joint_count
@@ -169,9 +167,7 @@ def reach(
     - `rotation`: of the last link's frame in frame 0; any, if None.
     - `near`: initial joint positions [rad or m].
 
-    **Raises**
-
-    - `MachineError`: the target cannot be reached from `near`.
+    **Raises** `MachineError`: the target cannot be reached from `near`.
     """
     q = near
     for _ in range(_ITERATIONS):

@@ -57,10 +57,8 @@ def circle(
     A path that begins at its `start`. Each row is the solution nearest to the previous one, so that
     a redundant arm need not end in its initial configuration.
 
-    **Raises**
-
-    - `MachineError`: the circle cannot be reached, a joint leaves its range or passes a singular
-        pose; with the time.
+    **Raises** `MachineError`: the circle cannot be reached, a joint leaves its range or passes a
+    singular pose; with the time.
 
     >>> import numpy as np
     >>> import sim
@@ -130,9 +128,7 @@ def go_to(
 
     Where it starts [rad or m], and the path.
 
-    **Raises**
-
-    - `MachineError`: a speed that is not positive; a margin of half a range or more.
+    **Raises** `MachineError`: a speed that is not positive; a margin of half a range or more.
 
     >>> import numpy as np
     >>> import sim

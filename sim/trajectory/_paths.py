@@ -96,9 +96,8 @@ class ViaPoints(AbstractPath):
     >>> path.arrivals
     array([2. , 3.5])
 
-    **Raises**
-
-    - `MachineError`: not one duration and one stay a pose, or a duration that is not positive.
+    **Raises** `MachineError`: not one duration and one stay a pose, or a duration that is not
+    positive.
     """
 
     poses: Float[np.ndarray, "*machines poses joints"]
@@ -193,9 +192,7 @@ class SampledPath(AbstractPath):
     >>> path.reference(np.array([0.004]), np.zeros(1)).q
     array([0.2])
 
-    **Raises**
-
-    - `MachineError`: tables of different shapes.
+    **Raises** `MachineError`: tables of different shapes.
     """
 
     q: Float[np.ndarray, "rows joints"]

@@ -43,9 +43,7 @@ class AbbreviatedGravity(AbstractPositionTorque):
     def of(cls, robot: Manipulator) -> "AbbreviatedGravity":
         """The compensation for a PUMA's links; the wrist's masses count at the wrist's centre.
 
-        **Raises**
-
-        - `RobotError`: the robot is no PUMA, or has no link parameters.
+        **Raises** `RobotError`: the robot is no PUMA, or has no link parameters.
         """
         links = robot.links
         twists = tuple(round(math.degrees(joint.alpha), 6) for joint in robot.joints)

@@ -102,9 +102,7 @@ def ultrasound(
       a sound pressure level of 30 dB beside an emitter of 104 dB.
     - `sonar`: dimensions, transducers and air; the defaults if omitted.
 
-    **Raises**
-
-    - `ValueError`: too few patterns, or noise that is no finite number from zero up.
+    **Raises** `ValueError`: too few patterns, or noise that is no finite number from zero up.
 
     >>> import sim
     >>> echoes = sim.ultrasound()

@@ -420,9 +420,7 @@ def carrier(robot: Manipulator, link: int | None = None) -> Manipulator:
     - `robot`: that carries.
     - `link`: that carries the body, counted from 1; the last one if None.
 
-    **Raises**
-
-    - `RobotError`: there is no such link; counted from 1.
+    **Raises** `RobotError`: there is no such link; counted from 1.
 
     >>> import jaxcslc as jc
     >>> from jaxcslc.network import carrier

@@ -87,13 +87,11 @@ def load_recording(
     The recording, in SI units. `joint_names` are those of `joints` or, without them, the file's,
     where it names joints; `notes` say what was decided in reading it.
 
-    **Raises**
-
-    - `RecordingError`: a file that is missing, unreadable or empty; missing, unknown or duplicate
-        columns; cells that are no finite numbers; time that does not increase; repeated rows; too
-        few samples; another number of joints, or joints of other names; motor currents without
-        torque constants. The message is one line and names the file, the column and the row (data
-        rows from 1 and, in CSV files, the line).
+    **Raises** `RecordingError`: a file that is missing, unreadable or empty; missing, unknown or
+    duplicate columns; cells that are no finite numbers; time that does not increase; repeated rows;
+    too few samples; another number of joints, or joints of other names; motor currents without
+    torque constants. The message is one line and names the file, the column and the row (data rows
+    from 1 and, in CSV files, the line).
 
     >>> import pathlib, tempfile
     >>> from jaxcslc.recordings import load_recording
@@ -183,9 +181,7 @@ def load_recordings(
 
     The recordings by topic; of a file that holds one, by the file's name.
 
-    **Raises**
-
-    - `RecordingError`: as `load_recording`.
+    **Raises** `RecordingError`: as `load_recording`.
 
     >>> import pathlib, tempfile
     >>> import numpy as np
@@ -317,9 +313,7 @@ def load_columns(
 
     The columns by name, `time` first.
 
-    **Raises**
-
-    - `RecordingError`: as `load_recording`; in place of its columns, one that is missing.
+    **Raises** `RecordingError`: as `load_recording`; in place of its columns, one that is missing.
 
     >>> import pathlib, tempfile
     >>> from jaxcslc.recordings import load_columns
@@ -375,10 +369,8 @@ def save_recording(
     - `recording`: one, or successive parts of one that is too long for memory.
     - `path`: ends in `.csv` or `.parquet`; its folder exists.
 
-    **Raises**
-
-    - `RecordingError`: another suffix, a folder that cannot be written to, parts that differ in
-        their columns, or no parts.
+    **Raises** `RecordingError`: another suffix, a folder that cannot be written to, parts that
+    differ in their columns, or no parts.
 
     >>> import pathlib, tempfile
     >>> import numpy as np

@@ -89,10 +89,8 @@ def open_table(
     another, of whatever size they come in, `time` among them. Every row has been checked on its
     own and against the one before.
 
-    **Raises**
-
-    - `RecordingError`: at once for a file that cannot be opened or has wrong columns; from the
-        iterator for a wrong cell or row.
+    **Raises** `RecordingError`: at once for a file that cannot be opened or has wrong columns; from
+    the iterator for a wrong cell or row.
     """
     try:
         kind = _kind_of(path)
@@ -165,9 +163,7 @@ def write_tables(tables: Iterable[Table], unfinished: Path, path: Path) -> None:
     - `unfinished`: the file to write, `.csv` or `.parquet`.
     - `path`: what the file will be called, for messages.
 
-    **Raises**
-
-    - `RecordingError`: no tables, or tables that differ in their columns.
+    **Raises** `RecordingError`: no tables, or tables that differ in their columns.
     """
     arrow = (pa.table({name: pa.array(v) for name, v in table.items()}) for table in tables)
     first = next(arrow, None)
