@@ -35,10 +35,8 @@ def align_torque(torque: Signals, alignment: TorqueAlignment) -> Signals:
       that meet at the sample: right for a held demand and derivatives that are smoothed
       symmetrically, the only one of the three without a delay of half an interval.
 
-    **Returns**
-
-    The aligned torques, shape `(samples, joints)`. The demand before the first
-    sample is unknown; the first sample keeps its torque.
+    **Returns** the aligned torques, shape `(samples, joints)`. The demand before the first sample
+    is unknown; the first sample keeps its torque.
 
     **Raises** `ValueError`: an alignment that is none of the three.
 
@@ -88,9 +86,7 @@ def resample(
     - `drop_stale`: leave samples that repeat the values of the one before out of the
         interpolation; see `without_stale_rows`.
 
-    **Returns**
-
-    The recording at uniform times from its first sample to its last.
+    **Returns** the recording at uniform times from its first sample to its last.
 
     **Raises**
 
@@ -153,10 +149,8 @@ def restore_clock(recording: Recording, period: float) -> Recording:
     - `recording`: stamped by its recorder, stale samples included.
     - `period`: of the source [s].
 
-    **Returns**
-
-    The recording at multiples of the period, counted from about its first stamp. Samples that
-    repeat the one before are gone, lost ones leave gaps.
+    **Returns** the recording at multiples of the period, counted from about its first stamp.
+    Samples that repeat the one before are gone, lost ones leave gaps.
 
     **Raises**
 

@@ -45,12 +45,10 @@ def possible_backlash(
     - `qd`, `qdd`: velocities and accelerations, shape `(..., joints)`.
     - `torque`: torques, shape `(..., joints)`.
 
-    **Returns**
-
-    True where backlash is possible, shape `(..., joints)`. Where velocity, acceleration or
-    torque is exactly zero, a sign is *missing* rather than shared by the other two: the
-    magnitude is below what the recording resolves and the true sign may be either. A missing
-    sign counts as agreeing with the others, so that the mask still includes every occurrence.
+    **Returns** True where backlash is possible, shape `(..., joints)`. Where velocity, acceleration
+    or torque is exactly zero, a sign is *missing* rather than shared by the other two: the
+    magnitude is below what the recording resolves and the true sign may be either. A missing sign
+    counts as agreeing with the others, so that the mask still includes every occurrence.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import possible_backlash
@@ -80,9 +78,7 @@ def friction_thresholds(
     - `qd`: velocities, shape `(samples, joints)` [rad/s or m/s].
     - `fraction`: of each joint's greatest speed; one for all joints or one for each.
 
-    **Returns**
-
-    The thresholds, shape `(joints,)` [rad/s or m/s].
+    **Returns** the thresholds, shape `(joints,)` [rad/s or m/s].
 
     **Raises** `ValueError`: a fraction below 0 or not below 1, or a wrong number of them.
 
@@ -131,10 +127,8 @@ def friction_mask(qd: Signals, thresholds: Thresholds) -> Bool[np.ndarray, "samp
     - `qd`: velocities, shape `(samples, joints)` [rad/s or m/s].
     - `thresholds`: one for each joint, shape `(joints,)`, or one for all [rad/s or m/s].
 
-    **Returns**
-
-    True where `|qd| > threshold`, shape `(samples, joints)`. A joint that does not move never
-    slides, whatever its threshold.
+    **Returns** True where `|qd| > threshold`, shape `(samples, joints)`. A joint that does not move
+    never slides, whatever its threshold.
 
     **Raises** `ValueError`: a threshold that is negative or no number, or a wrong number of them.
 
@@ -295,11 +289,9 @@ def at_rest(qd: Velocities) -> Bool[Array | np.ndarray, "samples joints"]:
 
     - `qd`: velocities in order of time, shape `(samples, joints)` [rad/s or m/s].
 
-    **Returns**
-
-    True where a joint is slower than 1e-4 of its greatest speed for five samples at least, and
-    where its velocity is zero (`without_motion_at_rest`), shape `(samples, joints)`. A joint that
-    never moves is not marked.
+    **Returns** True where a joint is slower than 1e-4 of its greatest speed for five samples at
+    least, and where its velocity is zero (`without_motion_at_rest`), shape `(samples, joints)`. A
+    joint that never moves is not marked.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import at_rest

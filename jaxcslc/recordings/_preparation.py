@@ -278,9 +278,7 @@ class Preparation:
         - `derivatives`: positions, velocities and accelerations of all its samples, if they are
           known already; by default those of `self.derivatives`.
 
-        **Returns**
-
-        The patterns, `trimmed` samples fewer at both ends.
+        **Returns** the patterns, `trimmed` samples fewer at both ends.
 
         **Raises** `ValueError`: as `derivatives`, or a selection that leaves nothing. Joints of
         which nothing is left are named; a joint alone without a pair is an error only when no other

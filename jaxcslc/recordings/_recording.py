@@ -357,10 +357,8 @@ def without_stale_rows(recording: Recording) -> Recording:
 
     - `recording`: as recorded.
 
-    **Returns**
-
-    The recording without its stale rows; its time is then not uniform. See `resample` for
-    methods that need uniform time.
+    **Returns** the recording without its stale rows; its time is then not uniform. See `resample`
+    for methods that need uniform time.
 
     **Raises** `RecordingError`: too few samples are left.
 
@@ -385,9 +383,7 @@ def fresh_rows(recording: Recording, every: int) -> Recording:
     - `recording`: as recorded.
     - `every`: rows for each new one, 1 or more.
 
-    **Returns**
-
-    The recording of these rows.
+    **Returns** the recording of these rows.
 
     **Raises**
 

@@ -137,10 +137,8 @@ def encoder_resolution(
 
     - `position`: joint positions, shape `(samples, joints)` [rad or m].
 
-    **Returns**
-
-    The width of a count, shape `(joints,)` [rad or m]; 0 for a joint that shows no grid: a
-    position that was not quantised, or that never changes.
+    **Returns** the width of a count, shape `(joints,)` [rad or m]; 0 for a joint that shows no
+    grid: a position that was not quantised, or that never changes.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import encoder_resolution
@@ -168,9 +166,7 @@ def noise_level(values: Signals) -> Float[np.ndarray, " joints"]:
     - `values`: as joint positions, shape `(samples, joints)`, four samples or more, at roughly
         even intervals.
 
-    **Returns**
-
-    The standard deviation of the noise, shape `(joints,)`, in the unit of the values.
+    **Returns** the standard deviation of the noise, shape `(joints,)`, in the unit of the values.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import noise_level
@@ -201,9 +197,7 @@ def sixth_differences(
     - `values`: shape `(samples, joints)`.
     - `time`: instants of the samples, shape `(samples,)`; None: even intervals.
 
-    **Returns**
-
-    The differences, shape `(samples - 6, joints)`, in the unit of the values.
+    **Returns** the differences, shape `(samples - 6, joints)`, in the unit of the values.
 
     >>> import numpy as np
     >>> from jaxcslc.recordings import sixth_differences

@@ -482,9 +482,7 @@ def left_out_error(
     - `position`: joint positions, shape `(samples, joints)` [rad or m].
     - `smoothing`: with a spacing of 2 or more.
 
-    **Returns**
-
-    The root mean square of the errors, shape `(joints,)` [rad or m].
+    **Returns** the root mean square of the errors, shape `(joints,)` [rad or m].
 
     **Raises** `ValueError`: a spacing of 1, of which no spline would be left.
 
@@ -545,9 +543,7 @@ def choose_spacing(
         is at least theirs. By default it is what `noise_level` sees in the readings, their
         counts included.
 
-    **Returns**
-
-    One spacing for each joint.
+    **Returns** one spacing for each joint.
 
     **Raises** `ValueError`: no candidates, one below 2, or a negative resolution.
 

@@ -139,9 +139,7 @@ class JointHardware:
         - `assist`: the applied force.
         - `constraint`: MuJoCo's constraint force, which is friction's constant part.
 
-        **Returns**
-
-        Arrays (machines, joints).
+        **Returns** arrays (machines, joints).
         """
         n, rotor = len(self.flexible), self.rotor
         xp = acceleration.__array_namespace__()

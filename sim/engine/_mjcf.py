@@ -60,9 +60,7 @@ def mjcf(
     - `transmission_damping`: of each tendon [N m s/rad or N s/m]; 0 if omitted.
     - `time_step`: of the integrator, a fourth-order Runge-Kutta method [s].
 
-    **Returns**
-
-    The text of an MJCF file.
+    **Returns** the text of an MJCF file.
 
     **Raises**
 

@@ -114,9 +114,7 @@ def simulate(machine: Machine, trajectory: Trajectory, *, seed: int = 0) -> Simu
         and of the timing's jitter. The same seed gives the same recording, bit for bit,
         alone or among others (see `record`).
 
-    **Returns**
-
-    The recording and the truth.
+    **Returns** the recording and the truth.
 
     **Raises**
 

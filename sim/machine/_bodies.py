@@ -44,9 +44,7 @@ def possible_links(
     - `robot`: the chain; only its twists are used.
     - `links`: parameters of its links, one a joint.
 
-    **Returns**
-
-    The parameters, changed where they had to be.
+    **Returns** the parameters, changed where they had to be.
 
     **Raises** `MachineError`: a link has negative mass, or a spread that is negative across its
     joint's axis, which no neighbour can supply.
@@ -93,9 +91,7 @@ def tilted_links(
     - `angles`: by how much each is turned, about the direction (1, 1, 1) of its frame, which
         weights the three axes alike [rad].
 
-    **Returns**
-
-    The parameters with other inertia tensors of the same principal moments.
+    **Returns** the parameters with other inertia tensors of the same principal moments.
 
     >>> import jaxcslc
     >>> from sim import tilted_links

@@ -101,10 +101,8 @@ def carrying(machine: Machine, body: LinkParameters | None) -> Machine:
     - `machine`: the machine.
     - `body`: in the last link's frame; None for none.
 
-    **Returns**
-
-    A machine that moves as `machine` does while it carries the body (see `Load`). If `machine` has
-    tilted links, those of the result are tilted already.
+    **Returns** a machine that moves as `machine` does while it carries the body (see `Load`). If
+    `machine` has tilted links, those of the result are tilted already.
 
     >>> import numpy as np
     >>> import jaxcslc, sim
@@ -219,9 +217,8 @@ class Faults(NamedTuple):
         - `reading`: what the encoders would read [rad or m].
         - `shown`, `received`: as returned for the sample before.
 
-        **Returns**
-
-        The reading for the controller, the one that the encoder shows, and the last one received.
+        **Returns** the reading for the controller, the one that the encoder shows, and the last one
+        received.
         """
         xp = reading.__array_namespace__()
         shown = xp.where(self.stuck, shown, reading)

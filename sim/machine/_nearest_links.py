@@ -143,9 +143,7 @@ def nearest_links(
     - `weight`: weight of each difference, such as the output sensitivity [N m a unit] (7.6).
     - `least`, `shift`: largest deviation from the nominal links, as above; `shift` in m.
 
-    **Returns**
-
-    The links, one a joint. Deterministic.
+    **Returns** the links, one a joint. Deterministic.
 
     **Raises** `MachineError`: the robot has no links or a full inertia tensor, a number is not
     finite or out of range, or there are not as many as the robot has coefficients.

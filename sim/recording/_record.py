@@ -222,10 +222,8 @@ def record_each(
 
     - as for `record`.
 
-    **Returns**
-
-    An iterator of pairs: the job's number, counted from 0, and its recording and truth or the
-    error that ended it. In the order in which they are made.
+    **Returns** an iterator of pairs: the job's number, counted from 0, and its recording and truth
+    or the error that ended it. In the order in which they are made.
 
     **Raises** `MachineError`: as `record`, with the number of the job.
     """

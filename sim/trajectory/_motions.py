@@ -52,10 +52,8 @@ def circle(
         orientation is free.
     - `interval`: between rows [s].
 
-    **Returns**
-
-    A path that begins at its `start`. Each row is the solution nearest to the previous one, so that
-    a redundant arm need not end in its initial configuration.
+    **Returns** a path that begins at its `start`. Each row is the solution nearest to the previous
+    one, so that a redundant arm need not end in its initial configuration.
 
     **Raises** `MachineError`: the circle cannot be reached, a joint leaves its range or passes a
     singular pose; with the time.

@@ -82,10 +82,8 @@ def load_recording(
         multiplier and offset. Where the recording has both, its `following_error` says how far the
         joint is off that law.
 
-    **Returns**
-
-    The recording, in SI units. `joint_names` are those of `joints` or, without them, the file's,
-    where it names joints; `notes` say what was decided in reading it.
+    **Returns** the recording, in SI units. `joint_names` are those of `joints` or, without them,
+    the file's, where it names joints; `notes` say what was decided in reading it.
 
     **Raises** `RecordingError`: a file that is missing, unreadable or empty; missing, unknown or
     duplicate columns; cells that are no finite numbers; time that does not increase; repeated rows;
@@ -177,9 +175,7 @@ def load_recordings(
 
     - `path`, `joints`, `columns`: as for `load_recording`.
 
-    **Returns**
-
-    The recordings by topic; of a file that holds one, by the file's name.
+    **Returns** the recordings by topic; of a file that holds one, by the file's name.
 
     **Raises** `RecordingError`: as `load_recording`.
 
@@ -221,9 +217,8 @@ def iterate_recording(
     - `chunk_rows`: of every chunk but the last, which may be shorter.
     - `joints`, `columns`: as for `load_recording`.
 
-    **Returns**
-
-    An iterator over the chunks, in order. The file's columns are checked before it returns.
+    **Returns** an iterator over the chunks, in order. The file's columns are checked before it
+    returns.
 
     **Raises**
 
@@ -309,9 +304,7 @@ def load_columns(
     - `time`: name of the column that increases from row to row.
     - `least`: number of rows that the file must have.
 
-    **Returns**
-
-    The columns by name, `time` first.
+    **Returns** the columns by name, `time` first.
 
     **Raises** `RecordingError`: as `load_recording`; in place of its columns, one that is missing.
 
