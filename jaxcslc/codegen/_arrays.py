@@ -106,8 +106,6 @@ def motion_outputs(
 ) -> list[Any]:
     """Values of a motion, each an array of the motion's shape.
 
-    **Arguments**
-
     - `k`: its coefficients, if it has some.
     - `motion`: of q, qd and qdd as many as the values need, an array per joint each.
     - `stage`: as of `array_outputs`.

@@ -165,8 +165,6 @@ def block_text(
 ) -> KernelText:
     """Return the text of statements for sample `i` of a block, whose values lie row by row.
 
-    **Arguments**
-
     - `block`: samples of a row.
     - `rows`: for `name` of inputs `name[0]`, `name[1]`, ..., in which array they are, and from
       which row on. Other inputs are called as they are in the graph.

@@ -266,8 +266,6 @@ def derivatives(outputs: Sequence[Value], by: Value) -> list[Value]:
     Forwards through the graph. What vanishes leaves nothing behind. Where a function bends, it has
     the derivative of the side of zero: of |x|, of the greater and of the lesser of x and 0.
 
-    **Arguments**
-
     - `outputs`: values.
     - `by`: of the same graph, an input as a rule.
 

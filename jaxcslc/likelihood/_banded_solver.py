@@ -214,8 +214,6 @@ def solved(
     columns of an arm's border, 19 unknowns apart at most, C code that takes all columns of a row at
     a time needs a fifth of the time.
 
-    **Arguments**
-
     - `factor`: lower, as of `scipy.linalg.cholesky_banded`.
     - `right`: stays as it is, unless it is one to `overwrite`.
 
@@ -321,8 +319,6 @@ class BandedEquations:
     ) -> "Factored":
         """Return the factorisation, with damping added to the diagonal of the banded part.
 
-        **Arguments**
-
         - `free`: which unknowns of a larger border, of this `size`, these are; others are fixed.
 
         **Raises** `numpy.linalg.LinAlgError` if the banded part is not positive definite.
@@ -418,8 +414,6 @@ class Factored:
         damping: float,
     ) -> tuple[Float[np.ndarray, "inner sides"], Float[np.ndarray, "border sides"]]:
         """Return the unknowns for right sides, of which long matrices are read once for all.
-
-        **Arguments**
 
         - `inner`, `border`: the right sides.
         - `damping`: of the border, as a part of its information.

@@ -84,8 +84,6 @@ class EstimatorComparison:
 def estimator_text(document: Mapping[str, Any], units: Sequence[str]) -> str:
     """Return what a report says of estimators beside each other.
 
-    **Arguments**
-
     - `document`: an `EstimatorComparison.document`.
     - `units`: of each joint's torque.
     """
@@ -109,8 +107,6 @@ def estimator_text(document: Mapping[str, Any], units: Sequence[str]) -> str:
 
 def presliding_line(presliding_distance: Sequence[float], units: Sequence[str]) -> str:
     """Return the pre-sliding distances of both estimators as a sentence.
-
-    **Arguments**
 
     - `presliding_distance`: (n,) [rad or m]; 0 of joints without.
     - `units`: of each joint's torque.

@@ -172,8 +172,6 @@ def add_equations(
 ) -> None:
     """Adds the squares of equations of motion to normal equations, except the border's own.
 
-    **Arguments**
-
     - `band`: the lower band, a row for each of its columns, diagonal first; `mixed`: products of
       these unknowns and the border.
     - `position`: of each sample's positions among the unknowns, one after the other.
@@ -229,8 +227,6 @@ def equation_changes(
     border: Float[np.ndarray, " border"],
 ) -> Rows:
     """Compute the changes of equations of motion: derivatives times changes of unknowns.
-
-    **Arguments**
 
     - `by_position`: derivatives by the positions at three samples; `by_border`: by the border.
     - `position`, `border`: changes of these.

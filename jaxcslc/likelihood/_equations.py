@@ -262,8 +262,6 @@ def triangle_truncation(
     Pereyra 1968), which leaves the band as narrow as it is. Not for held torques, whose steps make
     accelerations jump, and whose mean acceleration is exact.
 
-    **Arguments**
-
     - `smooth`: torque of all terms but friction of position, velocity and acceleration.
     - `q`: (samples, n); `time`: of the samples [s]; `part`: number of the recording of each.
     """

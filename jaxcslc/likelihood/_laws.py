@@ -232,8 +232,6 @@ def sticking_equations(
 ) -> Bool[np.ndarray, "equations joints"]:
     """Return those that break-away bounds: amid a rest that nothing but friction holds.
 
-    **Arguments**
-
     - `at_rest`: equations of joints at standstill.
     - `friction`: torque less what motion and gravity need [N m or N].
     - `breakaway`: (n,) at present [N m or N].

@@ -51,8 +51,6 @@ class LinearMinimum:
     ) -> "LinearMinimum":
         """Solve equations about a point.
 
-        **Arguments**
-
         - `damping`: of the normal equations.
         - `least`: what is promised below this is not worth another solution.
         - `start`: the same equations, whose parabolas are the first; those of `linear` if None.

@@ -90,8 +90,6 @@ class RowSums:
         root. With edges of some width, scores vary less than curvatures say (`score_share`): a
         sandwich of both.
 
-        **Arguments**
-
         - `inverse`: of the information, in units of the border's scale.
         """
         return inverse - inverse @ (np.sum(self.grams, axis=0) - self.noise) @ inverse
@@ -269,8 +267,6 @@ class Whiteness:
     ) -> "Whiteness":
         """Test a fit.
 
-        **Arguments**
-
         - `sums`: of rows and scores, of so many `components`.
         - `inverse`: of the information, in units of the border's scale.
         - `gram`: variance of the sum of scores were residuals white, `RowSums.noise`.
@@ -338,8 +334,6 @@ def reported_errors(
     spectrum: so the sandwich is for where residuals say that it is needed (White 1982, the
     information matrix test). They say so of all coefficients together, and then all errors are
     those of the sandwich, with its degrees of freedom; or of some, which then have its variance.
-
-    **Arguments**
 
     - `linear`: the equations at the minimum; `sums`: of their rows.
     - `inverse`: of the information; `bound`: of `RowSums.independent_covariance`; both in units of

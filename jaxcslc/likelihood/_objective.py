@@ -176,8 +176,6 @@ class Linear:
     def step(self, factored: Factored, residuals: Residuals, damping: float = 0.0) -> Step:
         """Return the change of all unknowns that fits residuals best.
 
-        **Arguments**
-
         - `factored`: the normal equations.
         - `residuals`: those of the present point, or others.
         - `damping`: of the border, as a part of its information.
@@ -205,8 +203,6 @@ class Linear:
 
         A count is flat inside its interval and steep outside, and so is the bound of a joint that
         sticks: a step that knows the flat part alone goes far out.
-
-        **Arguments**
 
         - `residuals`: the objective's, at a step's end.
         """

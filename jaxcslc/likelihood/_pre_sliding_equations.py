@@ -60,8 +60,6 @@ class PreSlidingEquations(AbstractEquations):
     ) -> "PreSlidingEquations":
         """Compute states at present positions.
 
-        **Arguments**
-
         - `presliding_distance`: (n,) [rad or m]; 0 where friction follows the sign of velocity.
         - `q`: (samples, n) [rad or m]; `time`: of the samples [s].
         - `part`: number of the recording of each; contacts start without strain in every one.
@@ -156,8 +154,6 @@ def mean_states(
 
     Between samples the path is the cubic with the velocities of parabolas through three samples:
     where a joint turns is known to a part of an interval.
-
-    **Arguments**
 
     - `q`: (samples, n) [rad or m]; `time`: [s].
     - `presliding_distance`: (n,) [rad or m]; where they are 0, the mean is 0, too.

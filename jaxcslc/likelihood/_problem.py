@@ -107,8 +107,6 @@ class LikelihoodProblem:
     ) -> "LikelihoodProblem":
         """Add the unknowns of an added block to the border.
 
-        **Arguments**
-
         - `scale`: sizes; `mean`, `precision`: what is known of them beforehand; `low`: bounds.
         """
         layout = self.layout.with_part(name, len(scale))
@@ -153,8 +151,6 @@ class LikelihoodProblem:
 
 def check_prior(prior: Prior | None, *, possible: bool) -> None:
     """Check that the search can make use of a prior.
-
-    **Arguments**
 
     - `prior`: of `MaximumLikelihood`.
     - `possible`: whether bodies are to be possible.

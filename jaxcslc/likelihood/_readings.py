@@ -105,8 +105,6 @@ def _held(
 ) -> Float[np.ndarray, "equations joints"]:
     """Return the triangle's mean of steps: each step counts by the part of the triangle after it.
 
-    **Arguments**
-
     - `knots`: of equations; each is over two intervals between them.
     - `weight`: of a step, `_remaining`; or its derivative by the lag, `_density`.
     """
@@ -150,8 +148,6 @@ def _integrated(
     times: int,
 ) -> Float[np.ndarray, "equations joints"]:
     """Return the triangle's mean of a spline: the second difference of its integral's integral.
-
-    **Arguments**
 
     - `times`: how often it is integrated; once for the derivative by the lag.
     """

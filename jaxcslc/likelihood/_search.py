@@ -108,8 +108,6 @@ def search(
 
     What else follows the motion between steps is said by stages (`Stage`).
 
-    **Arguments**
-
     - `fixed_levels`: whether noise levels are those of the start.
     - `edge`: (recordings, n) widths of intervals' edges in steps, 0 where counts are none. The
       start is then near the minimum. None with fixed levels: no count is an interval.
@@ -134,8 +132,6 @@ def search_on(
     Signs of the motion, weights and noise levels are those of its end, unless reversals come or go.
     So the sum of squares is the same function of all unknowns, and its minima for several
     coefficients are comparable.
-
-    **Arguments**
 
     - `problem`: of that search; other unknowns may be fixed.
     - `state`: `Minimum.state`; `k`: (p,) coefficients to start from.

@@ -415,8 +415,6 @@ class NoiseDraws:
         follows from what positions do not explain (a fixed point of the marginal likelihood, whose
         trace is estimated from one draw; Harville 1977).
 
-        **Arguments**
-
         - `residuals`: at the minimum; `counted`: equations that count fully.
         """
         problem, part = self.problem, self.problem.readings.part

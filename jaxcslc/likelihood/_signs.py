@@ -43,8 +43,6 @@ class Signs:
     ) -> "Signs":
         """Return the signs of a motion.
 
-        **Arguments**
-
         - `q`: positions.
         - `time`: of the samples.
         - `stuck`: where joints are at rest.
@@ -207,8 +205,6 @@ def rests(
     slowest: Float[np.ndarray, " joints"],
 ) -> Bool[np.ndarray, "intervals joints"]:
     """Tell where joints are at rest: readings stay the same for long, and speed is small.
-
-    **Arguments**
 
     - `position`: as recorded [rad or m]; `speed`: of the smoothed motion [rad/s or m/s].
     - `resolution`: of the encoders; readings that differ by less than half of it are the same.

@@ -216,8 +216,6 @@ def modified_dh_joints(
 ) -> tuple[Joint, ...]:
     """Joints of rows of modified Denavit-Hartenberg parameters.
 
-    **Arguments**
-
     - `rows`, `parents`, `kinds`, `lengths`: as of `Manipulator.from_modified_dh`.
     - `where`: what messages name, as in `"robot 'arm'"`.
 

@@ -46,8 +46,6 @@ def least_patterns(columns: ColumnsOf, support: Support, motion_count: int) -> i
     patterns, every column of the motion is as often positive as negative, so that both
     directions of switches occur.
 
-    **Arguments**
-
     - `columns`: as `AbstractLinearNetwork.columns`, in float64.
     - `support`: for each output, its coefficients.
     - `motion_count`: number of columns of the motion.

@@ -418,8 +418,6 @@ def spline_derivatives(time: Samples, values: Signals) -> tuple[Signals, Signals
 
     Those of `scipy.interpolate.CubicSpline`, whose import takes 0.09 s of processor time.
 
-    **Arguments**
-
     - `time`: instants of the samples, four or more, shape `(samples,)` [s].
     - `values`: shape `(samples, joints)`.
 

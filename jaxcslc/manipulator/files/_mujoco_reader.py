@@ -123,8 +123,6 @@ def mujoco_spec(robot: Manipulator) -> Any:
 
     Joints of the file that are none of the robot's are removed: bodies are fixed where they are.
 
-    **Arguments**
-
     - `robot`: read from a URDF or MJCF file.
 
     **Raises**

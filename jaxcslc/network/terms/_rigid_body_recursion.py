@@ -353,8 +353,6 @@ def newton_euler(
     Unrolled, and without what right angles and zero lengths make trivial: a Panda's regressor of
     base parameters is 1,245 operations, a PUMA 560's 505.
 
-    **Arguments**
-
     - `motion`: of the joints.
     - `joints`: a row of modified Denavit-Hartenberg parameters each, all lengths in numbers.
     - `parents`: the index of the link that carries each link, -1 for the base.

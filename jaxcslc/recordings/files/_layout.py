@@ -136,8 +136,6 @@ class ColumnLayout:
     def for_joints(self, file: str, joints: int | Sequence[str] | None) -> "ColumnLayout":
         """Return the layout with the columns of a robot's joints, in their order.
 
-        **Arguments**
-
         - `file`: as it is named in messages.
         - `joints`: of the robot: their names, or how many.
 

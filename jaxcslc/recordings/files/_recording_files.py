@@ -464,8 +464,6 @@ def load_commands(
 ) -> CommandTable:
     """Read commanded and measured positions from a table or a bag.
 
-    **Arguments**
-
     - `path`: a CSV, Parquet or `.npz` file, or a bag of ROS with joint states and commands.
     - `joints`, `columns`: as for `load_recording`.
 
@@ -493,8 +491,6 @@ def commands_of(
     columns: ColumnMapping | str | os.PathLike[str] | None = None,
 ) -> CommandTable:
     """Return commanded and measured positions of columns that are in memory.
-
-    **Arguments**
 
     - `place`: where they were read, for messages.
     - `arrays`: columns named as in a file, such as `time`, `position_elbow` and `command_elbow`.

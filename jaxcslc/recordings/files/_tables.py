@@ -157,8 +157,6 @@ def topics_of(path: Path, joints: Sequence[str] | None, topic: str | None) -> li
 def write_tables(tables: Iterable[Table], unfinished: Path, path: Path) -> None:
     """Write successive tables of columns into one file.
 
-    **Arguments**
-
     - `tables`: of the same columns each.
     - `unfinished`: the file to write, `.csv` or `.parquet`.
     - `path`: what the file will be called, for messages.
