@@ -108,7 +108,7 @@ class ColumnLayout:
             for quantity in quantities
         }
 
-    def checked(self, file: str, required: Sequence[str] = REQUIRED) -> "ColumnLayout":
+    def checked(self, file: str, required: Sequence[str]) -> "ColumnLayout":
         """Return the layout, if a recording can be made of it.
 
         **Raises** `RecordingError` for a quantity that is missing, numbers of columns that differ,

@@ -16,7 +16,7 @@ from jaxcslc._scratch import unfinished
 
 from .._recording import MINIMUM_SAMPLES, Recording, RecordingError, as_columns
 from ._column_mapping import ColumnMapping
-from ._known_layouts import SERVO_RECORDING, layout_by_format
+from ._known_layouts import SERVO_RECORDING, TORQUE_RECORDING, RecordingKind
 from ._layout import QUANTITIES, ColumnLayout, Header, LayoutColumn, beginning, is_numbered
 
 
@@ -400,15 +400,9 @@ def _opened(
     from ._tables import open_table  # loads Arrow, which others need not wait for
 
     mapping = mapping_of(columns)
-
-    def layout_of(file: str, header: Header) -> ColumnLayout:
-        if mapping is not None:
-            return mapping.layout(file, header, joints)
-        return layout_by_format(file, header).checked(file).for_joints(file, joints)
-
     return open_table(
         path,
-        layout_of,
+        _Layout(mapping, joints, TORQUE_RECORDING),
         delimiter=None if mapping is None else mapping.delimiter,
         topic=None if mapping is None else mapping.topic,
         joints=file_joints(mapping, joints),
@@ -473,7 +467,7 @@ def load_commands(
     from ._tables import is_bag, open_columns, open_table  # load Arrow: others need not wait
 
     path, mapping = Path(path), mapping_of(columns)
-    layout_of = _Layout(mapping, joints)
+    layout_of = _Layout(mapping, joints, SERVO_RECORDING)
     if is_bag(path):
         mapping = mapping or ColumnMapping()
         wanted = file_joints(mapping, joints)
@@ -502,7 +496,7 @@ def commands_of(
     from ._tables import open_columns
 
     header = Header(list(arrays), notes=tuple(notes))
-    layout_of = _Layout(mapping_of(columns), joints)
+    layout_of = _Layout(mapping_of(columns), joints, SERVO_RECORDING)
     return _table(place, *open_columns(place, header, dict(arrays), layout_of))
 
 
@@ -511,13 +505,13 @@ class _Layout(NamedTuple):
 
     mapping: ColumnMapping | None
     joints: int | Sequence[str] | None
+    kind: RecordingKind
 
     def __call__(self, file: str, header: Header) -> ColumnLayout:
-        kind = SERVO_RECORDING
         if self.mapping is not None:
-            return self.mapping.layout(file, header, self.joints, kind)
-        layout = kind.layout_by_format(file, header)
-        return layout.checked(file, kind.required).for_joints(file, self.joints)
+            return self.mapping.layout(file, header, self.joints, self.kind)
+        layout = self.kind.layout_by_format(file, header)
+        return layout.checked(file, self.kind.required).for_joints(file, self.joints)
 
 
 def _table(place: str, layout: ColumnLayout, pieces: Iterator[Table]) -> CommandTable:
