@@ -1,6 +1,7 @@
 """Friction that is not linear in its parameters: slopes, load, and pre-sliding.
 
-In: a network with friction terms, and patterns. Out: fits with the nonlinear parameters.
+In: a network with friction terms, and patterns. Out: fits with the nonlinear parameters. The laws
+themselves, linear or not, are rows of a table in `jaxcslc.network.terms`.
 
 - `_slopes`: slopes of static friction.
 - `_load`: friction that grows with the load; uses `_slopes`.

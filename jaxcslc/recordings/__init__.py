@@ -15,7 +15,7 @@ Modules, in reading order:
 - `_clock`: times of samples, resampling, and the torque that belongs to a sample.
 - `_smoothing`, `_splines`: smoothing and differentiation; where joints turn round.
 - `_low_pass`: zero-phase filters, and the filtering of whole equations.
-- `_masks`: pairs that a fit leaves out.
+- `_masks`: pairs that a fit leaves out, and when joints are at rest.
 - `_preparation`: settings, and the patterns that they give.
 """
 

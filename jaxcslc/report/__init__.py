@@ -5,7 +5,7 @@ results ──► Report (sections) ──► text, identification.json, CSV, in
 - `_report`, `_section`, `sections/`: a report and its kinds of results.
 - `_output`, `_load`: its files, written and read back; `_comparison`: two reports.
 - `_page`, `_charts`: HTML pages.
-- `_coefficients`, `_errors`, `_excitation`: figures of a fit, as sections show them.
+- `_coefficients`, `_errors`, `_excitation`: verdicts and figures of a fit, as sections show them.
 - `_derivation_report`: what a network has.
 """
 
