@@ -7,7 +7,7 @@ on motion that is smoothed once more.
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -29,15 +29,9 @@ from ._recording import (
 from ._system import System
 
 
-if TYPE_CHECKING:
-    from ._network import SystemNetwork
-    from ._system import System
-
-
 # Filters and splines ring at the ends for a few times what they reach: at once what they reach, the
 # rate of a sine that splines smoothed was off by 6 %.
 REACHES = 3
-
 
 Motion = Float[np.ndarray, "3 samples variables"]
 """Values, first and second derivatives of all variables."""
@@ -48,7 +42,7 @@ def stacked_motion(patterns: Patterns) -> Motion:
     return np.stack([np.asarray(x) for x in (patterns.q, patterns.qd, patterns.qdd)])
 
 
-def with_motion(network: "SystemNetwork", patterns: Patterns, motion: Motion) -> Patterns:
+def with_motion(network: SystemNetwork, patterns: Patterns, motion: Motion) -> Patterns:
     """Return the samples with another motion, and the known sides that go with it."""
     q, qd, qdd = motion
     known = np.asarray(_known(network, q, qd, qdd))
@@ -56,7 +50,7 @@ def with_motion(network: "SystemNetwork", patterns: Patterns, motion: Motion) ->
 
 
 @eqx.filter_jit
-def _known(network: "SystemNetwork", q: Any, qd: Any, qdd: Any) -> Array:
+def _known(network: SystemNetwork, q: Any, qd: Any, qdd: Any) -> Array:
     return network.known(q, qd, qdd)
 
 
@@ -79,7 +73,7 @@ class SmoothingBias:
     - `problem`: their equations, with weights.
     """
 
-    system: "System"
+    system: System
     settings: Settings
     patterns: Patterns
     problem: WeightedEquations
@@ -87,7 +81,7 @@ class SmoothingBias:
     @classmethod
     def of(
         cls,
-        system: "System",
+        system: System,
         settings: Settings,
         patterns: Patterns,
         fit: Identification,
