@@ -49,7 +49,7 @@ def motion(patterns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def metrics() -> Iterator[Metric]:
-    """All figures but those of derivation."""
+    """Return all figures but those of derivation."""
     network = jc.derive(jc.puma560())
     k = true_coefficients(network)
     yield from forward(network, k)
@@ -146,7 +146,7 @@ def direct_solve(network: jc.CSLC, k: jax.Array) -> Iterator[Metric]:
 
 
 def true_coefficients(network: jc.CSLC) -> jax.Array:
-    """Those of the robot's link parameters and friction."""
+    """Return those of the robot's link parameters and friction."""
     robot = network.robot
     assert robot.links is not None
     return network.coefficients_from(robot.links, viscous=robot.viscous, dry=robot.dry)

@@ -67,7 +67,7 @@ def random_patterns(network: jc.CSLC, count: int, mesh: Mesh | None) -> jc.Patte
 
 
 def ceilings() -> Row:
-    """What a copy and a product of large matrices reach: bytes/s and operations/s."""
+    """Return what a copy and a product of large matrices reach: bytes/s and operations/s."""
     large = jax.default_backend() != "cpu"
     x = jnp.ones(1 << (29 if large else 22))
     copy, product = jax.jit(lambda x: x + 1.0), jax.jit(lambda x: x @ x)
@@ -173,7 +173,7 @@ def accuracy(name: str) -> Iterator[Row]:
 
 
 def rows(patterns: int, cores: int | None) -> Iterator[Row]:
-    """All measurements, one after the other."""
+    """Return all measurements, one after the other."""
     if cores is not None:
         for workers in sorted({1, 2, core_count()}):
             yield stream_rate("puma560", cores * workers // core_count(), workers)

@@ -68,7 +68,7 @@ def timed(
 
 
 def recorded_patterns() -> jc.Patterns:
-    """Those of the simulated training recording, 3,300 samples."""
+    """Return those of the simulated training recording, 3,300 samples."""
     import sim
 
     recording = sim.simulate(sim.puma560(), sim.training(), seed=1).recording

@@ -206,7 +206,7 @@ def our_methods(
 def weighted_fit(
     network: jc.CSLC, patterns: Patterns, *, cutoff: float | None, power: float
 ) -> jax.Array:
-    """Each joint's equations divided by a power of their root mean square residual.
+    """Return each joint's equations divided by a power of their root mean square residual.
 
     0 minimises the error in N m, dominated by strong joints; 1 the errors relative to each joint's
     residual, at the cost of strong joints where the model is not exact.

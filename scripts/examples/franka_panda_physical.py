@@ -40,7 +40,7 @@ _FRICTION = {"fv": "viscous", "fc": "dry", "fo": "offset"}
 
 
 def fixed_settings() -> jc.Settings:
-    """Those of the recording's other test, fixed before any body was computed."""
+    """Return those of the recording's other test, fixed before any body was computed."""
     return jc.Settings(
         jc.Preparation(jc.AveragedSplines(97), threshold_fraction=0.0, torque_lag=0.003),
         jc.LeastSquares(cutoff=8.0),

@@ -35,7 +35,7 @@ class Used(NamedTuple):
 
 
 def identified(samples: int, runs: int) -> Iterator[Used]:
-    """What the command uses, run by run.
+    """Return what the command uses, run by run.
 
     **Raises** `RuntimeError` if it fails.
     """

@@ -97,7 +97,7 @@ print(json.dumps([processor, processor - imports, float(fit.rms_error)]))
 
 
 def installed() -> bool:
-    """Whether the peer is."""
+    """Return whether the peer is."""
     return find_spec("figaroh") is not None
 
 

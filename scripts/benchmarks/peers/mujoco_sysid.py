@@ -31,7 +31,7 @@ _START, _STRETCH = 1.2, 0.2
 
 
 def installed() -> bool:
-    """Whether the toolbox can be imported."""
+    """Return whether the toolbox can be imported."""
     return find_spec("mujoco.sysid") is not None and find_spec("tabulate") is not None
 
 

@@ -39,7 +39,7 @@ _SAMPLES = 1_000_000
 
 
 def can_be_compiled() -> bool:
-    """Whether there are a compiler of C++ and the headers."""
+    """Return whether there are a compiler of C++ and the headers."""
     headers = ("pinocchio/algorithm/regressor.hpp", "eigen3/Eigen/Core")
     installed = all((_PREFIX / "include" / header).exists() for header in headers)
     return installed and shutil.which("g++") is not None

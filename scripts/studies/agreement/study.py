@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def compared(arm: str, case: str, seed: int) -> dict[str, Any]:
-    """What the test says of two recordings."""
+    """Return what the test says of two recordings."""
     recordings = {
         "first": record(arm, _FIRST, 300 + 2 * seed),
         "second": record(arm, CASES[case], 301 + 2 * seed),

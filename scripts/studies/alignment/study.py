@@ -81,7 +81,7 @@ def row_of(
     truth: Float[np.ndarray, " coefficients"],
     judged: jc.Patterns,
 ) -> dict[str, Any]:
-    """What was selected, what the lowest score alone would select, and what either costs."""
+    """Return what was selected, what the lowest score alone would select, and what either costs."""
     selection = jc.choose_settings(network, recording)
     settings = selection.settings
     scores = {trial.settings: trial.score for trial in selection.trials}

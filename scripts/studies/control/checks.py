@@ -133,7 +133,7 @@ def stability_rows(
     start: np.ndarray,
     stacked: Callable[[Sequence[Any]], Any],
 ) -> Rows:
-    """Whether torques and joints stay within bounds over many random motions.
+    """Return whether torques and joints stay within bounds over many random motions.
 
     **Arguments**
 

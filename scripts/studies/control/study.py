@@ -180,7 +180,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def seconds(options: argparse.Namespace) -> float:
-    """How long the study, or its check, takes on two cores."""
+    """Return how long the study, or its check, takes on two cores."""
     if options.ideal:
         return 60.0
     if options.stability is not None:

@@ -87,7 +87,7 @@ def summary(rows: Sequence[dict[str, Any]], machine: str, case: str) -> dict[str
 
 
 def confident_errors(rows: Sequence[dict[str, Any]], verdicts: str) -> int:
-    """How many coefficients are called well determined and wrong by more than `CONFIDENT`.
+    """Return how many coefficients are called well determined and wrong by more than `CONFIDENT`.
 
     - `verdicts`: the field of the rows that holds them.
     """

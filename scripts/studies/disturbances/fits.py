@@ -101,7 +101,7 @@ def backlash_counts(
     spacing: tuple[int, ...],
     measures: Measures,
 ) -> dict[str, int]:
-    """How many pairs the backlash mask leaves out, and how many of them are in backlash."""
+    """Return how many pairs the backlash mask leaves out, and how many of them are in backlash."""
     alone = dataclasses.replace(measures, linear_only=False)
     mask = np.asarray(prepared(trained.recording, machine, spacing, alone).backlash_mask)
     trim = max(spacing)

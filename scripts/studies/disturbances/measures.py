@@ -26,7 +26,7 @@ class Measures:
     offsets: bool = False
 
     def network_terms(self) -> "Measures":
-        """Those measures alone that decide which coefficients the network has."""
+        """Return those measures alone that decide which coefficients the network has."""
         return Measures(full_tensors=self.full_tensors, offsets=self.offsets)
 
 

@@ -21,7 +21,7 @@ def budget_picture(
     title: str | None = None,
     quantity: str = "mean error cost ε [N m]",
 ) -> Figure:
-    """What each disturbance costs, its counter-measure off and on, over many seeds.
+    """Return what each disturbance costs, its counter-measure off and on, over many seeds.
 
     A dot is the mean over the seeds, a bar the range between two quantiles.
 

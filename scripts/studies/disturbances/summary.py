@@ -112,7 +112,7 @@ def table(summaries: Sequence[Summary], figure: str) -> str:
 
 
 def mask_text(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What the backlash mask caught and gave up, over all seeds and joints of a case."""
+    """Return what the backlash mask caught and gave up, over all seeds and joints of a case."""
     texts: list[str] = []
     for case in dict.fromkeys(row["case"] for row in rows if row.get("mask")):
         counts = [row["mask"] for row in rows if row["case"] == case and row.get("mask")]

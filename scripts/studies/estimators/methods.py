@@ -68,7 +68,7 @@ NAMES = (
 def estimates(
     network: jc.CSLC, experiment: Experiment, methods: Collection[str]
 ) -> Iterator[Estimate]:
-    """Those of some methods, one after the other.
+    """Return those of some methods, one after the other.
 
     Settings are chosen once, by cross-validation. Masks, alignment and parallel filter are those of
     least squares for all: instruments do not need the filter, but standard errors rest on

@@ -72,7 +72,7 @@ def table_text(kind: str, rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def summary(rows: Sequence[Mapping[str, Any]], method: str) -> dict[str, str]:
-    """What a table has of a method, over its seeds."""
+    """Return what a table has of a method, over its seeds."""
     of_method = [row for row in rows if row["method"] == method]
     error = np.array([row["error"] for row in of_method])
     spread = np.std(error, axis=0, ddof=1) if len(error) > 1 else np.full(error.shape[1], np.nan)

@@ -163,7 +163,7 @@ def performed(
 
 
 def predicted_errors(motion: Path, estimator: str) -> Prediction:
-    """What a performed motion should have said of the coefficients."""
+    """Return what a performed motion should have said of the coefficients."""
     planner = dataclasses.replace(fourier_planner())
     stride = 5
     information = dataclasses.replace(

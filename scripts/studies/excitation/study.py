@@ -173,7 +173,7 @@ def sequence_text(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def tables(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """All tables of rows that there are."""
+    """Return all tables of rows that there are."""
     texts: list[str] = []
     parts: dict[str, list[dict[str, Any]]] = {part: [] for part in PARTS}
     for row in rows:
@@ -251,7 +251,7 @@ def _designed(options: argparse.Namespace) -> tuple[str, ...]:
 
 
 def _tasks(options: argparse.Namespace, with_panda: bool) -> list[Task]:
-    """What is made of designs, or needs none."""
+    """Return what is made of designs, or needs none."""
     tasks: list[Task] = [("arms", "", i) for i in range(options.arms)]
     tasks += [("sequence", "", i) for i in range(options.sequences)]
     tasks += [("regression", "", i) for i in range(options.repeats)]

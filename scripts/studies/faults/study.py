@@ -80,7 +80,7 @@ def run(
     samples: int,
     fault: sim.Fault | None,
 ) -> list[sim.ClosedLoop | sim.SimulationError]:
-    """All machines along a path, side by side."""
+    """Return all machines along a path, side by side."""
     trajectory = sim.Trajectory(
         "guarded",
         _START,

@@ -263,7 +263,7 @@ def flat(tree: Any, seed: int) -> np.ndarray:
 def pruned(
     network: Sigmoidal, data: Data, sizes: tuple[int, ...], tolerance: float
 ) -> tuple[Any, Any]:
-    """Each seed's network pruned: its weights, and which of them are kept (as 0 and 1).
+    """Return each seed's network pruned: its weights, and which of them are kept (as 0 and 1).
 
     What an earlier round removed goes again at once: without it the cost is the same.
     """

@@ -46,7 +46,7 @@ def data_of(
     comparison: Sequence[jc.Patterns],
     trigonometric: bool,
 ) -> Data:
-    """Everything in float32, as networks are usually trained."""
+    """Return everything in float32, as networks are usually trained."""
 
     def part(x: np.ndarray, torque: Any, mask: np.ndarray) -> Part:
         return Part(jnp.asarray(x, "float32"), jnp.asarray(torque, "float32"), jnp.asarray(mask))

@@ -46,7 +46,7 @@ GROUPS = ("rigid_body", "viscous", "dry", "static")
 
 
 def row_of(machine: sim.Machine, samples: int, seed: int) -> dict[str, Any]:
-    """Everything of one seed: two recordings, two fits."""
+    """Return everything of one seed: two recordings, two fits."""
     # Two numbers a seed: the encoders of the two recordings start elsewhere.
     trained, performed = (
         sim.simulate(machine, trajectory, seed=2 * seed + i)

@@ -58,7 +58,7 @@ LAST = f"likelihood, every {_EVERY}, all terms"
 def rows_of(
     machine: sim.Machine, samples: int, seed: int, selected: bool
 ) -> Iterator[dict[str, Any]]:
-    """Everything of one machine and seed: one row an estimator.
+    """Return everything of one machine and seed: one row an estimator.
 
     - `selected`: whether what is selected on the recording has rows.
     """
@@ -135,7 +135,7 @@ def rows_of(
 def _friction_selected(
     row: Callable[..., dict[str, Any]], plain: jc.CSLC, trained: jc.Recording
 ) -> Iterator[dict[str, Any]]:
-    """Both estimators with the friction that the training recording selects.
+    """Return both estimators with the friction that the training recording selects.
 
     - `row`: makes one, from estimator, network, coefficients, intervals and when it was started.
     """

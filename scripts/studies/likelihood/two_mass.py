@@ -139,7 +139,7 @@ def torque_error(truth: Truth, k: Float[np.ndarray, " coefficients"]) -> float:
 
 
 def inside(fit: jc.LikelihoodFit, truth: Truth) -> float:
-    """How many intervals of 95 % hold the true coefficient, in percent."""
+    """Return how many intervals of 95 % hold the true coefficient, in percent."""
     low, high = np.asarray(fit.fit.confidence_interval()).T
     return 100 * float(np.mean((low <= truth.k) & (truth.k <= high)))
 

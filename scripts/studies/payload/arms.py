@@ -182,7 +182,7 @@ class Arms:
 
 
 def successes(results: Sequence[sim.ClosedLoop | sim.SimulationError]) -> list[sim.ClosedLoop]:
-    """All results. **Raises** the first error among them."""
+    """Return all results. **Raises** the first error among them."""
     for result in results:
         if isinstance(result, sim.SimulationError):
             raise result

@@ -37,7 +37,7 @@ class LoopBatch(AbstractController):
         return cls(jax.tree_util.tree_map(stacked, *loops))
 
     def begin(self, q: Float[Array | np.ndarray, "robots joints"]) -> Any:
-        """Each robot's state."""
+        """Return each robot's state."""
         arrays, static = eqx.partition(self.loops, eqx.is_array)
 
         def one(robot: Any) -> Any:
@@ -54,7 +54,7 @@ class LoopBatch(AbstractController):
         interval: float | Array,
         qd: Float[Array | np.ndarray, "robots joints"] | None = None,
     ) -> tuple[Float[Array, "robots joints"], Any]:
-        """Each robot's torque and state."""
+        """Return each robot's torque and state."""
         del qd
         arrays, static = eqx.partition(self.loops, eqx.is_array)
 

@@ -72,7 +72,7 @@ class Problem:
 
     @property
     def linear(self) -> bool:
-        """Whether outputs are linear in the weights, so that there is a direct solve."""
+        """Return whether outputs are linear in the weights, so that there is a direct solve."""
         return self.network.linear and self.network.activation == LINEAR_COMBINER
 
     def of_seed(self, index: int) -> Examples:

@@ -171,7 +171,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def seconds(options: argparse.Namespace) -> float:
-    """How long the study takes on two cores: mostly compilation."""
+    """Return how long the study takes on two cores: mostly compilation."""
     return sum(20.0 if "6" in key[0] or "7" in key[0] else 10.0 for key in parts(options))
 
 

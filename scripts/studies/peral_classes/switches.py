@@ -71,7 +71,7 @@ def plan_of(rule: AbstractRule) -> Plan:
 
 
 def guided_plan(switch: SwitchWhen) -> Plan:
-    """Both rules, led by an indicator."""
+    """Return both rules, led by an indicator."""
     schedule = Schedule(RULES, switch=jax.tree.map(jnp.asarray, switch))
     rates = tuple(AdaptedRates(jnp.asarray(1.0)) for _ in RULES)
     return Plan(schedule, rates, cost=half_square, patience=10**6)
@@ -164,7 +164,7 @@ def backpropagation_curve(problem: Problem, epochs: int) -> Float[np.ndarray, "s
 
 
 def guided(problem: Problem, switch: SwitchWhen, epochs: int) -> Guided:
-    """Both rules from the start, led by an indicator."""
+    """Return both rules from the start, led by an indicator."""
     network, plan = problem.network, guided_plan(switch)
     rates = jnp.stack(
         [first_rates(network, rule, problem.examples, problem.starts[:, None]) for rule in RULES],

@@ -217,7 +217,7 @@ def spectrum_table(results: Results) -> str:
 
 
 def refusals(results: Results) -> str:
-    """What PERAL does not train, and why."""
+    """Return what PERAL does not train, and why."""
     reasons = {name: row["refused"] for (name, _), row in results.rules.items() if row["refused"]}
     lines = [f"{name}: {reason}" for name, reason in reasons.items()]
     for (name, _), row in results.rules.items():
@@ -232,7 +232,7 @@ def refusals(results: Results) -> str:
 
 
 def report(results: Results, seeds: int) -> str:
-    """Everything that the study prints."""
+    """Return everything that the study prints."""
     goal = f"{GOALS[MIDDLE]:.0%}"
     parts: list[str] = []
     if results.trained:

@@ -77,7 +77,7 @@ _QUICK_SAMPLES = 1500
 
 
 def store_of(options: argparse.Namespace) -> Path:
-    """Where recordings and trainings are kept until the run ends."""
+    """Return where recordings and trainings are kept until the run ends."""
     numbers = {name: getattr(options, name) for name in ("seed", "seeds", "samples", "quick")}
     digest = made_of(numbers, sorted(Path(__file__).parent.glob("*.py")))
     return options.output / f"unfinished-{digest[:12]}"
@@ -259,7 +259,7 @@ def experiment(options: argparse.Namespace) -> int:
 
 
 def summary(arm: OwnArm, tables: Tables) -> str:
-    """What the terminal shows of a run."""
+    """Return what the terminal shows of a run."""
     rows = [
         {"torque error ε [N m]": f"PUMA {letter.upper()}"}
         | {name: row[model] for model, name, _ in MODELS if model in row}

@@ -113,7 +113,7 @@ class SeedTrainings:
 
     @property
     def seeds(self) -> int:
-        """How many recordings there are."""
+        """Return how many recordings there are."""
         return len(self.solved)
 
 

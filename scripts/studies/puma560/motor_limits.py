@@ -50,7 +50,7 @@ def violation_rows(
     limited: sim.Machine,
     recordings: tuple[jc.Recording, jc.Recording],
 ) -> Rows:
-    """What it costs if the training trajectory leaves the motors' range of linearity.
+    """Return what it costs if the training trajectory leaves the motors' range of linearity.
 
     Mean error moduli and ε on the same comparison recording, of coefficients identified from the
     training recordings of the machine within its limits and of one with lower limits.

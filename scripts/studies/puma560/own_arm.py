@@ -55,14 +55,14 @@ class OwnArm:
 
     @property
     def contained(self) -> str:
-        """How many intervals contain the truth."""
+        """Return how many intervals contain the truth."""
         table = self.report.to_pandas()
         inside = (table["low"] <= self.truth) & (self.truth <= table["high"])
         return f"{int(inside.sum())} of {len(self.truth)} intervals contain the true value"
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What the truth, and a simulation if there is one, say of the report."""
+        """Return what the truth, and a simulation if there is one, say of the report."""
         return (self.contained,) if self.simulated is None else (self.contained, self.simulated)
 
     @property

@@ -232,7 +232,7 @@ def experiment_page(
 
 
 def _verdict(tables: Mapping[str, tuple[str, Rows]]) -> tuple[Tone, str, tuple[Message, ...]]:
-    """Whether identification beats direct measurement on both machines, in words."""
+    """Return whether identification beats direct measurement on both machines, in words."""
     messages: list[Message] = []
     better: list[bool] = []
     for name, (_, rows) in tables.items():

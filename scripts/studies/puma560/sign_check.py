@@ -34,7 +34,7 @@ class SignCheck:
 
     @property
     def passed(self) -> bool:
-        """Whether no value contradicts its sign."""
+        """Return whether no value contradicts its sign."""
         return _WRONG not in self.verdicts
 
     def rows(self) -> list[dict[str, str | float]]:

@@ -179,7 +179,7 @@ def coefficient_table_rows(network: jc.CSLC, puma: IdentifiedMachine) -> Rows:
 
 
 def interval_rows(machines: Sequence[IdentifiedMachine]) -> Rows:
-    """How many of each machine's 95 % intervals contain the true coefficients."""
+    """Return how many of each machine's 95 % intervals contain the true coefficients."""
     rows: Rows = []
     for puma in machines:
         truth = np.asarray(puma.vectors["true"])

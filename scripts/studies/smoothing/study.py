@@ -137,7 +137,7 @@ def true_acceleration(
 
 
 def regions(truth: sim.Truth) -> dict[str, Bool[np.ndarray, "samples joints"]]:
-    """Which pairs of sample and joint are near a velocity reversal, and which are not."""
+    """Return which pairs of sample and joint are near a velocity reversal, and which are not."""
     interval = float(np.median(np.diff(truth.time)))
     velocity = np.where(np.abs(truth.velocity) < AT_REST, 0.0, truth.velocity)
     away = away_from_reversals(velocity, round(AT_REVERSAL / interval))

@@ -45,7 +45,7 @@ class Example:
 
     @cached_property
     def coefficients(self) -> Float[np.ndarray, " coefficients"]:
-        """Those that the true constants make."""
+        """Return those that the true constants make."""
         unknown = {constant.name: self.truth[constant.name] for constant in self.system.unknown}
         return np.asarray(self.system.separation.values(unknown))
 

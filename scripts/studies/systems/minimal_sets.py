@@ -71,7 +71,7 @@ class Ranks:
 
     @property
     def agree(self) -> bool:
-        """Whether the set is minimal."""
+        """Return whether the set is minimal."""
         return self.coefficients == self.regressor == self.needed
 
 

@@ -158,7 +158,7 @@ def compute(options: argparse.Namespace, rows: Rows) -> None:
 
 
 def table(rows: Sequence[dict[str, Any]], way: str, name: str) -> np.ndarray:
-    """What a column says of all coefficients, (recordings, coefficients).
+    """Return what a column says of all coefficients, (recordings, coefficients).
 
     - `way`: `"plain"` or `"corrected"`.
     - `name`: `"k"`, `"standard_error"`, `"z"`, errors over standard errors, or `"in_interval"`.

@@ -119,7 +119,7 @@ def problem_of(name: str, patterns: int) -> Problem:
 def direction(
     network: AdaptiveNetwork, rule: AbstractRule, patterns: Examples, weights: Array
 ) -> Float[Array, " weights"]:
-    """What an epoch at a rate of one, the same for all layers, moves the weights by."""
+    """Return what an epoch at a rate of one, the same for all layers, moves the weights by."""
     learning = (True,) * len(network.groups)
     return jnp.sum(patterns.change(network, rule, weights, learning), axis=0)
 
@@ -191,13 +191,13 @@ def shrinking_rate(jacobian: Float[np.ndarray, "weights weights"]) -> float:
 
 
 def leading_away(jacobian: Float[np.ndarray, "weights weights"]) -> int:
-    """How many directions grow at every rate."""
+    """Return how many directions grow at every rate."""
     values = np.linalg.eigvals(jacobian)
     return int(np.sum(values.real > _UNSEEN * np.max(np.abs(values))))
 
 
 def rows_of(name: str, cost: str, options: argparse.Namespace) -> list[dict[str, Any]]:
-    """Both rules on one problem, every start and checkpoint."""
+    """Return both rules on one problem, every start and checkpoint."""
     problem = problem_of(name, options.patterns)
     network, measured_by = problem.network, COSTS[cost]
     hand_over = options.scene_hand_over if name == SCENE else options.hand_over
@@ -369,7 +369,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def seconds(options: argparse.Namespace) -> float:
-    """How long the study takes on two cores: compilation, trainings, epochs on end."""
+    """Return how long the study takes on two cores: compilation, trainings, epochs on end."""
     cases = len(options.problems) * len(options.costs)
     measured = options.starts * len(options.checkpoints) * options.on_end
     return cases * (40.0 + 8e-6 * options.patterns * (max(options.checkpoints) + measured))

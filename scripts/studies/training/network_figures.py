@@ -275,7 +275,7 @@ def quintics(draws: int, seed: int) -> tuple[Figure, dict[str, Any]]:
 
 
 def checkpoint_of(options: argparse.Namespace) -> Path:
-    """Where the overtrained networks are kept, which take nearly all of the time."""
+    """Return where the overtrained networks are kept, which take nearly all of the time."""
     numbers = {name: getattr(options, name) for name in ("seed", "draws", "epochs")}
     digest = made_of(numbers, [Path(__file__)])
     return options.output / f"overtraining-{digest[:12]}.npz"

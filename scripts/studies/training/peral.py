@@ -222,7 +222,7 @@ def document(
     counts: Sequence[dict[str, Any]],
     minimum: dict[str, Any],
 ) -> dict[str, Any]:
-    """All of it; infinite epochs are null."""
+    """Return all of it; infinite epochs are null."""
     return {
         "options": options,
         "trainings": [
@@ -298,7 +298,7 @@ def study(options: argparse.Namespace) -> int:
 
 
 def seconds(options: argparse.Namespace) -> float:
-    """How long the study takes on two cores."""
+    """Return how long the study takes on two cores."""
     scenes = 2 * options.ultrasound_patterns * options.seeds
     arms = options.seeds + (len(options.noise) - 1) * options.other_seeds
     epochs = options.hand_over + options.further + options.tuning

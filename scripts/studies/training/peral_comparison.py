@@ -201,7 +201,7 @@ def compare_ultrasound(
     handed_over: float = HAND_OVER_CORRECT,
     cost: Cost = mean_modulus,
 ) -> Outcome:
-    """Both rules on the ultrasound scene, from a share of correct classifications on."""
+    """Return both rules on the ultrasound scene, from a share of correct classifications on."""
     start = starts(problem, options.seeds)
     target = {"target": jnp.asarray(1.0 - CORRECT[-1])}
     until = 1.0 - handed_over
@@ -228,7 +228,7 @@ def compare_ultrasound(
 
 
 def compare_puma(problem: Problem, options: argparse.Namespace, folder: Path) -> Outcome:
-    """Both rules on the PUMA 560, from a fixed number of epochs of backpropagation."""
+    """Return both rules on the PUMA 560, from a fixed number of epochs of backpropagation."""
     seeds = problem.examples.targets.shape[0]
     start = starts(problem, seeds)
     plan = plans(None, 1.0)[BACKPROPAGATION]

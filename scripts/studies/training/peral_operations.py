@@ -73,7 +73,7 @@ def counted(network: AdaptiveNetwork) -> dict[str, int]:
 
 
 def dense_links(network: AdaptiveNetwork) -> tuple[int, int]:
-    """How many adaptive links there are, and how many a dense product multiplies.
+    """Return how many adaptive links there are, and how many a dense product multiplies.
 
     Two that join the same input and node are one, as in the thesis's weights matrices.
     """

@@ -172,7 +172,7 @@ def report(
     outcomes: Sequence[Outcome],
     minimum: dict[str, Any],
 ) -> str:
-    """Everything that the study prints."""
+    """Return everything that the study prints."""
     parts = [
         "From the hand-over; ratio: backpropagation's median over PERAL's, epochs / seconds (the"
         " thesis: about five times fewer epochs)\n" + epochs_table(rows)

@@ -94,7 +94,7 @@ class Noisy:
 
     @property
     def inputs(self) -> Float[np.ndarray, "weights outputs patterns"]:
-        """What each output takes of each weight: x of Eqn. 6.1-6."""
+        """Return what each output takes of each weight: x of Eqn. 6.1-6."""
         units = jnp.eye(self.network.size)
         totals = jax.lax.map(lambda unit: self.clean.totals(self.network, unit), units)
         return np.asarray(totals)
@@ -318,7 +318,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def seconds(options: argparse.Namespace) -> float:
-    """How long the study takes on two cores: mostly PERAL on the CSLC, from two starts."""
+    """Return how long the study takes on two cores: mostly PERAL on the CSLC, from two starts."""
     passes = 2.0 * options.patterns * options.seeds * options.epochs
     return 20.0 * len(options.problems) + (2e-6 * passes if PUMA in options.problems else 0.0)
 

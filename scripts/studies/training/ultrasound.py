@@ -154,7 +154,7 @@ def correct_table(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def wins(rows: Sequence[dict[str, Any]]) -> str:
-    """In how many conditions and goals which rule takes fewer epochs, and less time."""
+    """Return in how many conditions and goals which rule takes fewer epochs, and less time."""
     by_rule = [row for row in rows if row["rule"] == PERAL_RULE]
     parts: list[str] = []
     for what, name in (("fewer epochs", RATIO), ("less time", SECONDS_RATIO)):

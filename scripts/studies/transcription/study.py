@@ -82,7 +82,7 @@ class Comparison(NamedTuple):
 
     @property
     def same_rules(self) -> bool:
-        """Whether every epoch was learnt by the same rule, and none is missing."""
+        """Return whether every epoch was learnt by the same rule, and none is missing."""
         return self.library_rules == self.transcription.rule
 
     @property
