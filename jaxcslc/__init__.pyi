@@ -17,7 +17,6 @@ from . import (
     manipulator as manipulator,
     network as network,
     payload as payload,
-    plotting as plotting,
     recordings as recordings,
     report as report,
     selection as selection,

@@ -37,7 +37,6 @@ COMMON = {
 LAYERS = {
     "codegen": set[str](),
     "manipulator": set[str](),
-    "plotting": set[str](),
     "recordings": set[str](),
     "derivation": {"manipulator"},
     "network": {"codegen", "derivation"},
@@ -53,7 +52,7 @@ LAYERS = {
     "instruments": {"bodies", "friction"},
     "likelihood": {"bodies", "friction"},
     "selection": {"checks", "friction"},
-    "report": {"instruments", "likelihood", "plotting", "selection"},
+    "report": {"instruments", "likelihood", "selection"},
     "excitation": {"report"},
     "identification": {"report"},
     "servo": {"export", "report"},
@@ -366,8 +365,9 @@ def test_every_dependency_is_imported_and_every_import_declared() -> None:
     assert wrong == []
     ours = canonicalize_name(project["name"])
     asked = base.union(*extras.values()) - {ours}
-    # jax brings jaxlib; sympy finds python-flint by itself, and distributed cryptography.
-    assert asked - used <= {"python-flint", "cryptography"}
+    # jax brings jaxlib; sympy finds python-flint by itself, and distributed cryptography. Notebooks
+    # draw by matplotlib.
+    assert asked - used <= {"python-flint", "cryptography", "matplotlib"}
 
 
 # What needs an extra, and the extra.
@@ -379,7 +379,6 @@ NEEDS_AN_EXTRA = {
         "rosbags.highlevel",
         "bags",
     ),
-    "from jaxcslc.plotting import _look; _look.new_figure(3, 2)": ("matplotlib.figure", "plot"),
     "from jaxcslc.bodies import _nearest_bodies as s; s._conic_solver()": ("clarabel", "inertia"),
 }
 
@@ -388,7 +387,7 @@ def test_a_missing_extra_is_named_with_the_command_that_installs_it() -> None:
     """With the libraries out of reach, in a process of its own; the package imports without."""
     program = (
         "import sys\n"
-        "missing = ('pandas', 'mujoco', 'matplotlib', 'clarabel', 'rosbags')\n"
+        "missing = ('pandas', 'mujoco', 'clarabel', 'rosbags')\n"
         "sys.modules.update(dict.fromkeys(missing))\n"
         "import jaxcslc\n"
         f"for code in {list(NEEDS_AN_EXTRA)!r}:\n"

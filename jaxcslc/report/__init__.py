@@ -11,6 +11,7 @@ results ──► Report (sections) ──► text, identification.json, CSV, in
 
 from .._scratch import all_or_nothing as all_or_nothing
 from ._charts import (
+    COLOURS as COLOURS,
     AbstractChart as AbstractChart,
     ArmChart as ArmChart,
     Curve as Curve,

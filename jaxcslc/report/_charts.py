@@ -12,10 +12,11 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..plotting import COLOURS
 from ._page import AbstractBlock
 
 
+# Okabe and Ito's palette, which colour-blind readers can tell apart. Measurements are a broad grey.
+COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 # Text in drawings: that of the page.
 _FONT = {"family": "system-ui, sans-serif", "size": 13, "color": "#1b1f24"}
 _GRID, _ZERO, _MASKED, _MEASURED, _ARM = (

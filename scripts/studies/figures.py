@@ -1,14 +1,28 @@
-"""Parts that the pictures of several studies share."""
+"""Look of all pictures of studies, and parts that several share."""
+
+from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from jaxcslc.plotting import new_figure
+from jaxcslc.report import COLOURS as COLOURS
 
 
-# Zero lines, limits and their annotations.
-QUIET = "0.35"
+# Styles of lines, in the order of the colours.
+STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (3, 1, 1, 1)))
+# Grey of measured curves; of zero lines, limits and their annotations.
+MEASURED, QUIET = "0.65", "0.35"
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Make an empty figure in the style of all pictures, without a window; sizes in inches."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def save_picture(figure: Figure, path: Path) -> None:
+    """Draw a figure into a PNG file."""
+    figure.savefig(path, dpi=130)
 
 
 def single_axes(title: str | None, *, width: float = 6.0, height: float = 4.0) -> Axes:

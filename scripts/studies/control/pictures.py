@@ -6,8 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from jaxcslc.plotting import COLOURS, MEASURED, STYLES, new_figure
-from scripts.studies.figures import QUIET, readable_decades
+from scripts.studies.figures import COLOURS, MEASURED, QUIET, STYLES, new_figure, readable_decades
 
 
 # Within the row of a controller, of height 1, its coefficient sets share this much.

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from jaxcslc.plotting import save_picture
 from scripts.studies.control.pictures import (
     control_error_picture,
     joint_error_picture,
     traced_path_picture,
 )
+from scripts.studies.figures import save_picture
 
 
 Rows = list[dict[str, Any]]

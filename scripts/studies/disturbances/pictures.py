@@ -7,8 +7,14 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxcslc.plotting import COLOURS
-from scripts.studies.figures import QUIET, figure_of, legend_below, readable_decades, single_axes
+from scripts.studies.figures import (
+    COLOURS,
+    QUIET,
+    figure_of,
+    legend_below,
+    readable_decades,
+    single_axes,
+)
 
 
 def budget_picture(

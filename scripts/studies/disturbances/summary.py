@@ -10,10 +10,10 @@ from jaxtyping import Float
 from scipy.stats import t as student
 
 from jaxcslc._text_table import text_table
-from jaxcslc.plotting import save_picture
 from jaxcslc.report import write_csv
 from scripts.studies.disturbances.measures import OFF, ON, Line, lines
 from scripts.studies.disturbances.pictures import budget_picture
+from scripts.studies.figures import save_picture
 
 
 FIGURES = {"epsilon": "ε [N m]", "coefficient_error": "coefficient error [N m]"}

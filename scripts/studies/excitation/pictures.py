@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxcslc.plotting import COLOURS, new_figure
 from scripts.studies.excitation.motions import MOTIONS, predicted_errors
-from scripts.studies.figures import readable_decades
+from scripts.studies.figures import COLOURS, new_figure, readable_decades
 
 
 def figure(rows: Sequence[dict[str, Any]], motion: Any, path: Path) -> None:

@@ -7,8 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from jaxcslc.plotting import COLOURS, new_figure
-from scripts.studies.figures import QUIET
+from scripts.studies.figures import COLOURS, QUIET, new_figure
 
 
 # A family of networks: numbers of weights, and ε of the training and the comparison recording.

@@ -41,9 +41,9 @@ import numpy as np
 
 import jaxcslc as jc
 import sim
-from jaxcslc.plotting import save_picture
 from jaxcslc.report import all_or_nothing, write_csv
 from scripts.studies import command
+from scripts.studies.figures import save_picture
 from scripts.studies.generalisation.patterns import data_of, in_range, stop_set
 from scripts.studies.generalisation.results import picture, summary, table
 from scripts.studies.generalisation.training import (

@@ -18,9 +18,9 @@ import numpy as np
 
 import jaxcslc as jc
 import sim
-from jaxcslc.plotting import save_picture
 from jaxcslc.report import all_or_nothing, write_csv
 from scripts.studies import command
+from scripts.studies.figures import save_picture
 from scripts.studies.motor.pictures import motor_curve_picture, motor_response_picture
 from scripts.studies.rows import Rows, made_of
 

@@ -4,8 +4,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from jaxcslc.plotting import COLOURS
-from scripts.studies.figures import QUIET, figure_of, legend_below, single_axes
+from scripts.studies.figures import COLOURS, QUIET, figure_of, legend_below, single_axes
 
 
 def motor_curve_picture(

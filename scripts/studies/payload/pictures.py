@@ -8,8 +8,7 @@ from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxcslc.plotting import COLOURS, STYLES, new_figure
-from scripts.studies.figures import QUIET
+from scripts.studies.figures import COLOURS, QUIET, STYLES, new_figure
 
 
 _SIGMAS = 1.96  # of a 95 % band

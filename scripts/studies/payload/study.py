@@ -27,8 +27,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxcslc.plotting import save_picture
 from jaxcslc.report import write_csv
+from scripts.studies.figures import save_picture
 
 
 # Before MuJoCo is loaded: a film needs OpenGL without a screen. Without the library MuJoCo would

@@ -4,8 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from jaxcslc.plotting import COLOURS, new_figure
-from scripts.studies.figures import QUIET, readable_decades
+from scripts.studies.figures import COLOURS, QUIET, new_figure, readable_decades
 from scripts.studies.peral_classes.results import (
     BACKPROPAGATION,
     GOALS,

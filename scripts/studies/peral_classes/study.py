@@ -34,10 +34,10 @@ from typing import Any
 import jax
 
 import jaxcslc as jc
-from jaxcslc.plotting import save_picture
 from jaxcslc.report import all_or_nothing, write_csv
 from jaxcslc.training import SwitchWhen
 from scripts.studies import command
+from scripts.studies.figures import save_picture
 from scripts.studies.peral_classes.classes import CLASSES, problem
 from scripts.studies.peral_classes.pictures import pictures
 from scripts.studies.peral_classes.results import (

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 import sim
 from jaxcslc.control import AbstractController, Reference
-from jaxcslc.plotting import COLOURS, MEASURED, new_figure
+from scripts.studies.figures import COLOURS, MEASURED, new_figure
 
 
 # Looks at the machine between two updates of its demand.

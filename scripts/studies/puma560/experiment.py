@@ -24,9 +24,9 @@ from tqdm import tqdm
 
 import jaxcslc as jc
 import sim
-from jaxcslc.plotting import save_picture
 from jaxcslc.report import all_or_nothing, degree_of_excitation, write_csv
 from scripts.studies import command
+from scripts.studies.figures import save_picture
 from scripts.studies.puma560.figures import (
     CAPTIONS,
     linearity_experiment,

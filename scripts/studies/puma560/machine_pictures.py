@@ -5,8 +5,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxcslc.plotting import COLOURS
-from scripts.studies.figures import QUIET, cross_hair, figure_of, legend_below, single_axes
+from scripts.studies.figures import COLOURS, QUIET, cross_hair, figure_of, legend_below, single_axes
 
 
 def friction_picture(

@@ -8,8 +8,16 @@ from jaxtyping import Array, Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxcslc.plotting import COLOURS, MEASURED, STYLES, new_figure
-from scripts.studies.figures import QUIET, figure_of, legend_below, single_axes
+from scripts.studies.figures import (
+    COLOURS,
+    MEASURED,
+    QUIET,
+    STYLES,
+    figure_of,
+    legend_below,
+    new_figure,
+    single_axes,
+)
 
 
 _MARKERS = ("o", "s", "^", "D", "v", "P")

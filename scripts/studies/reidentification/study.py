@@ -25,10 +25,10 @@ import numpy as np
 import jaxcslc as jc
 import sim
 from jaxcslc._text_table import text_table
-from jaxcslc.plotting import save_picture
 from jaxcslc.recordings import choose_spacing
 from jaxcslc.report import write_csv
 from scripts.studies import command
+from scripts.studies.figures import save_picture
 from scripts.studies.reidentification.pictures import reidentification_picture
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.tables import median_text

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
 from jaxcslc._text_table import text_table
-from jaxcslc.plotting import new_figure
+from scripts.studies.figures import new_figure
 
 
 SELECTED = "averaged splines, chosen"

@@ -24,10 +24,10 @@ from jaxtyping import Bool, Float
 
 import jaxcslc as jc
 import sim
-from jaxcslc.plotting import save_picture
 from jaxcslc.recordings import AbstractSmoothing, SavitzkyGolay, away_from_reversals, choose_spacing
 from jaxcslc.report import all_or_nothing, write_csv
 from scripts.studies import command
+from scripts.studies.figures import save_picture
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.smoothing.results import SELECTED, Entry, picture, table
 from scripts.studies.truth import true_coefficients

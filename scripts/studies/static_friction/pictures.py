@@ -7,8 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxcslc.plotting import COLOURS, new_figure
-from scripts.studies.figures import QUIET
+from scripts.studies.figures import COLOURS, QUIET, new_figure
 
 
 _MARKERS = ("o", "s", "^", "D", "v")

@@ -40,9 +40,9 @@ from tqdm import tqdm
 import jaxcslc as jc
 import sim
 from jaxcslc._text_table import text_table
-from jaxcslc.plotting import save_picture
 from jaxcslc.report import write_csv
 from scripts.studies import command
+from scripts.studies.figures import save_picture
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.static_friction.methods import METHODS, Identifier, Model
 from scripts.studies.static_friction.pictures import static_friction_picture

@@ -36,7 +36,6 @@ from matplotlib.figure import Figure
 import jaxcslc as jc
 import sim
 from jaxcslc._text_table import text_table
-from jaxcslc.plotting import COLOURS, STYLES, new_figure, save_picture
 from jaxcslc.report import all_or_nothing, write_csv
 from jaxcslc.training import (
     AbstractRule,
@@ -52,6 +51,7 @@ from jaxcslc.training import (
     train,
 )
 from scripts.studies import command
+from scripts.studies.figures import COLOURS, STYLES, new_figure, save_picture
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.tables import number_text
 from scripts.studies.training.peral_comparison import (

@@ -8,8 +8,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from jaxcslc.plotting import COLOURS, STYLES, new_figure
-from scripts.studies.figures import QUIET, readable_decades
+from scripts.studies.figures import COLOURS, QUIET, STYLES, new_figure, readable_decades
 
 
 _BINS = 40  # of a histogram

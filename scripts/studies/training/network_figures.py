@@ -25,7 +25,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import jaxcslc as jc
-from jaxcslc.plotting import save_picture
 from jaxcslc.report import all_or_nothing, write_json
 from jaxcslc.training import (
     AdaptiveNetwork,
@@ -42,6 +41,7 @@ from jaxcslc.training import (
     train,
 )
 from scripts.studies import command
+from scripts.studies.figures import save_picture
 from scripts.studies.rows import made_of
 from scripts.studies.training.network_pictures import (
     decision_picture,

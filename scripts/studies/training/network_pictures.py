@@ -7,8 +7,15 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from jaxcslc.plotting import COLOURS, MEASURED, new_figure
-from scripts.studies.figures import QUIET, figure_of, legend_below, single_axes
+from scripts.studies.figures import (
+    COLOURS,
+    MEASURED,
+    QUIET,
+    figure_of,
+    legend_below,
+    new_figure,
+    single_axes,
+)
 
 
 # Outputs of a node: its sums over a grid of the plane, and its answers to patterns.

@@ -28,7 +28,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import jaxcslc as jc
-from jaxcslc.plotting import save_picture
 from jaxcslc.report import all_or_nothing, write_csv, write_json
 from jaxcslc.training import (
     AdaptedRates,
@@ -41,6 +40,7 @@ from jaxcslc.training import (
     with_normal_equations,
 )
 from scripts.studies import command
+from scripts.studies.figures import save_picture
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.training.learning_pictures import Learning, learning_picture
 from scripts.studies.training.peral_comparison import (

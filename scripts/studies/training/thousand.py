@@ -35,10 +35,10 @@ import numpy as np
 
 import jaxcslc as jc
 import sim
-from jaxcslc.plotting import save_picture
 from jaxcslc.report import all_or_nothing, write_csv, write_json
 from jaxcslc.training import AdaptiveNetwork, inverse_dynamics
 from scripts.studies import command
+from scripts.studies.figures import save_picture
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.tables import rows_table
 from scripts.studies.training.learning_pictures import errors_picture

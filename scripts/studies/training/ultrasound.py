@@ -27,10 +27,10 @@ import numpy as np
 
 import jaxcslc as jc
 from jaxcslc._text_table import text_table
-from jaxcslc.plotting import save_picture
 from jaxcslc.report import all_or_nothing, write_csv
 from jaxcslc.training import Cost, half_square, mean_modulus
 from scripts.studies import command
+from scripts.studies.figures import save_picture
 from scripts.studies.rows import Rows, made_of
 from scripts.studies.training.learning_pictures import conditions_picture
 from scripts.studies.training.peral_comparison import compare_ultrasound, correct, ultrasound
