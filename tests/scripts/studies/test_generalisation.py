@@ -15,9 +15,9 @@ from jax.flatten_util import ravel_pytree
 from numpy.testing import assert_allclose, assert_array_equal
 
 import jaxcslc as jc
-from jaxcslc.training import LinkEnds
 from scripts.studies.generalisation import networks, study
 from scripts.studies.generalisation.patterns import in_range, stop_set
+from scripts.studies.generalisation.pruning import LinkEnds
 
 
 @pytest.fixture
