@@ -436,3 +436,11 @@ def test_the_table_of_contributing_lists_who_may_import_whom() -> None:
     rows = re.findall(r"^\| `jaxcslc/(\w+)` \|.*\| ([^|]*) \|$", text, re.MULTILINE)
     listed = {folder: set(re.findall(r"`(\w+)`", lower)) for folder, lower in rows}
     assert listed == LAYERS
+
+
+def test_the_map_of_contributing_names_files_and_functions_that_exist() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+    paths = re.findall(r"`((?:jaxcslc|sim|scripts|tests|docs)/[\w/.-]+)`", text)
+    assert len(paths) > 50 and [path for path in paths if not (ROOT / path).exists()] == []
+    for name, path in re.findall(r"`(\w+)` in `(\w+/[\w/.-]+\.py)`", text):
+        assert re.search(rf"\b{name}\b", (ROOT / path).read_text("utf-8")), (name, path)
