@@ -32,14 +32,11 @@ class EstimatorComparison:
     - `likelihood`: the fit without a smoothing, to all training recordings.
     - `units`: of each joint's torque.
 
-    >>> import numpy as np, jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
-    >>> t = np.arange(600)[:, None] * 0.01
-    >>> q, qd, qdd = np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)
-    >>> torque = np.asarray(network.torque(np.array([0.5, 0.3, -0.1, 0.2, 0.05]), q, qd, qdd))
-    >>> torque = torque + 0.01 * np.random.default_rng(0).normal(size=t.shape)
-    >>> recording = jc.Recording(t[:, 0], q, torque)
+    >>> import jaxcslc as jc
+    >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric")
+    >>> k = [0.5, 0.3, -0.1, 0.2, 0.05]
+    >>> motion = jc.examples.swing(network, k, samples=600, torque_noise=0.01)
+    >>> recording = jc.Recording(motion.time, motion.q, motion.torque)
     >>> report = jc.identify(
     ...     network, recording, settings=jc.Settings(), estimator="maximum-likelihood"
     ... )

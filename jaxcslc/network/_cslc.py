@@ -69,8 +69,7 @@ class CSLC(AbstractLinearNetwork):
     - `terms`: the rigid body, then friction, springs and coupled joints, then a payload.
 
     >>> import jaxcslc as jc
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> network = jc.derive(pendulum, lengths="numeric")
+    >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric")
     >>> network.names, [term.kind for term in network.terms]
     (('kB1', 'kB2', 'kB3', 'kv1', 'kd1'), ['rigid_body', 'viscous', 'dry'])
     """
@@ -312,8 +311,7 @@ class CSLC(AbstractLinearNetwork):
         slopes, and for numbers not above 0.
 
         >>> import jax, jax.numpy as jnp, jaxcslc as jc
-        >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-        >>> network = jc.derive(robot.with_friction("viscous", "dry", "static"))
+        >>> network = jc.derive(jc.examples.pendulum("viscous", "dry", "static"))
         >>> k, qd = jnp.ones(network.size), jnp.array([0.5])
         >>> friction = lambda s: network.with_static_slopes(s).friction_term(k, qd)[0]
         >>> round(float(jax.grad(friction)(jnp.array([2.0]))[0]), 4)  # -0.5 exp(-2 * 0.5)
@@ -396,8 +394,7 @@ class CSLC(AbstractLinearNetwork):
         **Raises** `ValueError` for a network without such friction.
 
         >>> import jax.numpy as jnp, jaxcslc as jc
-        >>> robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-        >>> network = jc.derive(robot.with_friction("load"), lengths="numeric")
+        >>> network = jc.derive(jc.examples.pendulum("load"), lengths="numeric")
         >>> k, still = jnp.array([0.5, 0.3, -0.1, 0.2]), jnp.zeros(1)
         >>> load = network.with_load(k).torque(k, still, still, jnp.ones(1))
         >>> moving = network.with_load(k).torque(k, still, 1e-9 * jnp.ones(1), jnp.ones(1))
@@ -462,8 +459,7 @@ class CSLC(AbstractLinearNetwork):
         - `ValueError`: the network has a payload already, or friction of kind `"load"`.
 
         >>> import jax.numpy as jnp, numpy as np, jaxcslc as jc
-        >>> arm = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-        >>> network = jc.derive(arm, lengths="numeric").with_payload()
+        >>> network = jc.derive(jc.examples.pendulum(), lengths="numeric").with_payload()
         >>> ball = jc.LinkParameters(2.0, np.array([0.5, 0.0, 0.0]), np.zeros((3, 3)))
         >>> nothing = jc.LinkParameters(0.0, np.zeros(3), np.zeros((3, 3)))
         >>> k = network.coefficients_from([nothing], payload=ball)

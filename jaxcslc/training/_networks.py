@@ -351,8 +351,7 @@ def linear_combiner(network: AbstractLinearNetwork) -> AdaptiveNetwork:
 
     >>> import jax.numpy as jnp, jaxcslc as jc
     >>> from jaxcslc.training import linear_combiner
-    >>> pendulum = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
-    >>> cslc = jc.derive(pendulum, lengths="numeric")
+    >>> cslc = jc.derive(jc.examples.pendulum(), lengths="numeric")
     >>> k, x = jnp.arange(5.0), jnp.ones((3, 1))
     >>> outputs = linear_combiner(cslc).outputs(k, (x, x, x))
     >>> bool(jnp.allclose(outputs, cslc.torque(k, x, x, x)))
