@@ -198,7 +198,8 @@ def friction_results(
             notes = (f"{PRE_SLIDING} was not tried: {not_tried}",) if not_tried else ()
         else:
             terms = chosen.terms.with_pre_sliding(tried)
-            states = tried if tried.joint_names else None
+            if tried.joint_names:
+                states = dataclasses.replace(tried, fit=problem.informed(tried.fit))
     if states is not None:
         notes = (*notes, _note_of(states, fitted=bool(judged.fit.presliding_distance.any())))
     return terms, states, notes

@@ -124,7 +124,7 @@ def with_states(judged: Judged, presliding_distance: tuple[float, ...]) -> Judge
     problem, network = judged.problem, judged.fit.network
     values = checked_distance(network, presliding_distance)
     patterns = problem.patterns["training"]
-    fit = problem.solver.fit(along_motion(network, patterns, values), patterns)
+    fit = problem.informed(problem.solver.fit(along_motion(network, patterns, values), patterns))
     return dataclasses.replace(judged, yielding=Fit(network, fit, values))
 
 

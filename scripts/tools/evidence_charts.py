@@ -54,6 +54,8 @@ def _same(*names: str) -> dict[str, str]:
 _ARMS = {
     "KUKA KR300, motion B": "KUKA KR300 | B",
     "KUKA KR300, motion C": "KUKA KR300 | C",
+    "KUKA LWR4+, faster motion": "KUKA LWR4+ | hw3",
+    "KUKA LWR4+, same motion": "KUKA LWR4+ | hw2",
     "Franka Panda": "Franka Panda | last third",
     "Stäubli TX40": "Stäubli TX40 | last third",
 }
@@ -77,9 +79,9 @@ CHARTS: Mapping[str, Chart] = {
         "real_robots.md # {group} | {series} | mean",
         _ARMS,
         {
-            "usual pipeline, weighted": "usual pipeline, 20 Hz, WLS",
-            "auto": "auto",
-            "auto, friction auto": "auto, friction auto",
+            "usual pipeline, weighted, offsets": "usual pipeline, 20 Hz, WLS and offsets",
+            "identify": "identify",
+            "identify --quality best": "identify, best",
         },
     ),
     "estimators": Chart(
@@ -98,7 +100,7 @@ CHARTS: Mapping[str, Chart] = {
         "Held-out torque error on real arms, mean of the joints [%]",
         "real_robots.md # {group} | {series} | mean",
         _ARMS,
-        {"least squares": "least-squares", "maximum likelihood": "maximum-likelihood"},
+        {"identify": "identify", "maximum likelihood": "identify, maximum likelihood"},
     ),
     "friction": Chart(
         "KUKA KR300, motion B: torque error by friction at standstill [%]",

@@ -2,7 +2,7 @@
 
 A figure is named by where it stands:
 
-- `real_robots.md # KUKA KR300 | B | auto | mean`: page, heading, first cell of the table's head
+- `real_robots.md # KUKA KR300 | B | identify | mean`: page, heading, first cell of the table's head
   (empty if it has none), row, column;
 - `demo/errors_a.csv | mean ε | Ar+LS`: table of `scripts/tools/thesis/results`, row, column;
 - `benchmark urdf.identify`: a metric of `scripts/benchmarks/stored`, of each machine.

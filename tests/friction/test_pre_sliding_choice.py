@@ -1,5 +1,6 @@
 """Pre-sliding among the friction that `identify` tries: used where it is there, nowhere else."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -71,6 +72,38 @@ def test_the_joint_that_yields_gets_its_length(report: jc.Report) -> None:
     trials = {t.joint: t for t in report.friction.trials if t.kind == "pre-sliding"}
     assert trials[1].used and trials[1].relative.change < np.log(0.9)
     assert not trials[2].used
+
+
+def test_states_have_the_bodies_of_the_robots_file() -> None:
+    """Joint 2 stands still: what only its motion shows is the file's, with states as without."""
+    links = tuple(
+        jc.LinkParameters(mass, np.array([0.2, 0.05, 0.0]), 0.03 * np.eye(3)) for mass in (3.0, 2.0)
+    )
+    network = jc.derive(dataclasses.replace(arm(), links=links), lengths="numeric")
+    k = np.asarray(network.coefficients_from(links, viscous=[0.4, 0.4], dry=[0.4, 0.4]))
+    t = 0.01 * np.arange(1600)
+    q, qd, qdd = (np.zeros((1600, 2)) for _ in range(3))
+    for rate, size in ((2.0, 0.3), (3.1, 0.2)):
+        q[:, 0] += size * np.sin(rate * t)
+        qd[:, 0] += size * rate * np.cos(rate * t)
+        qdd[:, 0] -= size * rate**2 * np.sin(rate * t)
+    torque = np.array(network.torque(k, q, qd, qdd))
+    torque[:, 0] += 0.4 * (yielding(q[:, 0]) - np.sign(qd[:, 0]))
+    torque += 0.01 * np.random.default_rng(3).normal(size=q.shape)
+    report = jc.identify(
+        network,
+        jc.Recording(t, q, torque),
+        settings=jc.Settings(),
+        friction="auto",
+        possible="never",
+        systematic=False,
+        checks=False,
+    )
+    assert report.pre_sliding is not None
+    index = [i for i, error in enumerate(report.fit.standard_error) if 0.0 < error < np.inf]
+    inertial = [i for i in index if i in range(network.size)[network.layout.inertial]]
+    assert len(inertial) == len(range(network.size)[network.layout.inertial])
+    assert_allclose(np.asarray(report.pre_sliding.fit.k)[inertial], k[inertial], atol=0.05)
 
 
 def test_torque_with_states_is_nearer(report: jc.Report) -> None:

@@ -54,7 +54,7 @@ def lwr4(folder: Path) -> Arm:
         first,
         {"hw3": third, "hw2": second},
         "kjyv/FloBaRoID, LGPL-3.0",
-        "hw1 is fitted, hw3 (faster) and hw2 (the same motion again) are judged but for 0.2 s at"
+        "hw1 is fitted, hw3 (faster) and hw2 (the same motion again) are judged except 0.2 s at"
         " either end; 5,027 samples at 200 Hz each",
         str(folder / "kuka_lwr4.urdf"),
         ends=0.2,

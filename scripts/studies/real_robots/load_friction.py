@@ -19,6 +19,7 @@ from jaxcslc.report import predicted_torque
 from scripts.studies import command
 from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm
+from scripts.studies.real_robots.methods import evenly
 
 
 jc.enable_x64()
@@ -40,7 +41,7 @@ def lines_of(name: str, arm: Arm, friction: Sequence[str] | None) -> list[list[s
     laws = arm.robot.friction_per_joint if friction is None else [friction] * network.joint_count
     kinds = [tuple(kind for kind in of_joint if kind != "static") for of_joint in laws]
     network = network.with_joint_friction(kinds)
-    patterns = SETTINGS.patterns(arm.training)
+    patterns = SETTINGS.patterns(evenly(arm.training))
     richer = network.with_joint_friction([(*of_joint, "load") for of_joint in kinds])
     load = fit_load(richer, patterns, solver=solver)
     plain = solver.fit(network, patterns)
@@ -54,7 +55,7 @@ def lines_of(name: str, arm: Arm, friction: Sequence[str] | None) -> list[list[s
     ]
     rows = [[name, "held out", *percent(held_out[1] / held_out[0])]]
     for test, recording in arm.tests.items():
-        motion = SETTINGS.patterns(recording)
+        motion = SETTINGS.patterns(evenly(recording))
         torque = np.asarray(motion.torque)
         without, with_load = (
             rms(torque - np.asarray(predicted_torque(model, motion, k)), motion)

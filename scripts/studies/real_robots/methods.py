@@ -59,11 +59,10 @@ def usual_models(arm: Arm) -> Iterator[Model]:
     preparation = jc.Preparation(
         jc.Butterworth(LOW_PASS), smooth_torque=True, threshold_fraction=0.0
     )
-    networks = {"": network}
-    laws = network.friction_per_joint
-    if not all("offset" in kinds for kinds in laws):
-        wider = [kinds if "offset" in kinds else (*kinds, "offset") for kinds in laws]
-        networks[" and offsets"] = network = network.with_joint_friction(wider)
+    networks: dict[str, jc.CSLC] = {}
+    if (wider := with_offsets(network)) is not network:
+        networks[""] = network
+    networks[" and offsets"] = network = wider
     for (words, model), (name, weights) in product(networks.items(), USUAL.items()):
         settings = jc.Settings(
             preparation, jc.LeastSquares(joint_weights=weights, errors="independent")
@@ -78,6 +77,13 @@ def usual_models(arm: Arm) -> Iterator[Model]:
         k = with_ridge(network, arm.robot.links, settings.patterns(recording))
         seconds = time.process_time() - start
         yield Model(f"{PIPELINE}, ridge to the file", network, k, settings, seconds, "")
+
+
+def with_offsets(network: jc.CSLC) -> jc.CSLC:
+    """The network with a torque offset of each joint; itself if it has them."""
+    laws = network.friction_per_joint
+    wider = [kinds if "offset" in kinds else (*kinds, "offset") for kinds in laws]
+    return network if wider == [*laws] else network.with_joint_friction(wider)
 
 
 def evenly(recording: jc.Recording) -> jc.Recording:

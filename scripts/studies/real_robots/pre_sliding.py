@@ -19,7 +19,7 @@ from scripts.studies import command
 from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm
 from scripts.studies.real_robots.load_friction import SETTINGS as MASKED, percent, rms
-from scripts.studies.real_robots.methods import without_static
+from scripts.studies.real_robots.methods import evenly, without_static
 
 
 jc.enable_x64()
@@ -32,14 +32,14 @@ SETTINGS = dataclasses.replace(
 def lines_of(name: str, arm: Arm) -> list[list[str]]:
     """Of the table: held-out errors, errors on the motion that is judged, and lengths."""
     network = without_static(arm)
-    patterns, solver = SETTINGS.patterns(arm.training), SETTINGS.solver
+    patterns, solver = SETTINGS.patterns(evenly(arm.training)), SETTINGS.solver
     result = fit_pre_sliding(network, patterns, solver=solver)
     plain = solver.fit(network, patterns)
     joints = range(1, network.joint_count + 1)
     relative = [result.relative.get(joint) for joint in joints]
     rows = [[name, "held out", *("none" if x is None else str(x) for x in relative)]]
     for test, recording in arm.tests.items():
-        motion = SETTINGS.patterns(recording)
+        motion = SETTINGS.patterns(evenly(recording))
         states, torque = (motion.q, motion.qd, motion.qdd), np.asarray(motion.torque)
         without = rms(torque - np.asarray(network.torque(plain.k, *states)), motion)
         with_states = rms(torque - np.asarray(result.torque(*states)[0]), motion)

@@ -11,6 +11,7 @@ from mujoco import sysid
 import jaxcslc as jc
 from scripts.studies.real_robots import (
     arms,
+    hysteresis,
     intervals,
     load_friction,
     pre_sliding,
@@ -150,6 +151,27 @@ def test_load_dependent_friction_is_seen(loaded: arms.Arm) -> None:
     held_out, again, _, coefficient = load_friction.lines_of("pendulum", loaded, None)
     assert float(held_out[2]) < -20 and float(again[2]) < -20
     assert abs(float(coefficient[2].split(" ± ")[0]) - 0.2) < 0.02
+
+
+def test_torque_hysteresis_is_seen() -> None:
+    """The pendulum loses torque to a state that its rigid torque drives; and noise."""
+    arm = pendulum(Path())
+    rng = np.random.default_rng(2)
+
+    def with_loss(recording: jc.Recording) -> jc.Recording:
+        q = np.asarray(recording.position)
+        sign = np.sign(np.cos(3 * np.asarray(recording.time)))[:, None]
+        rigid = np.asarray(recording.torque) - 0.2 * np.gradient(q, 0.005, axis=0) - 0.1 * sign
+        state = np.asarray(
+            jc.friction.contact_states(rigid, 0.1 * np.ptp(rigid, axis=0), np.zeros(1))
+        )
+        torque = np.asarray(recording.torque) + 0.3 * state
+        return jc.Recording(recording.time, q, torque + 0.01 * rng.normal(size=q.shape))
+
+    arm = arm._replace(training=with_loss(arm.training), tests={"again": with_loss(arm.training)})
+    held_out, again, width = hysteresis.lines_of("pendulum", arm)
+    assert float(held_out[2]) < -20 and float(again[2]) < -20
+    assert width[2] == "0.1"
 
 
 def test_friction_that_yields_is_seen() -> None:

@@ -36,10 +36,13 @@ def test_a_chart_is_what_its_tables_say(name: str) -> None:
 
 
 def test_bars_are_as_long_as_their_values() -> None:
-    groups, series = {"KR300": "KUKA KR300 | B", "TX40": "Stäubli TX40 | last third"}, {"": "auto"}
+    groups, series = (
+        {"KR300": "KUKA KR300 | B", "TX40": "Stäubli TX40 | last third"},
+        {"": "identify"},
+    )
     picture = drawn(Chart("title", "real_robots.md # {group} | {series} | mean", groups, series))
     first, second = (float(x) for x in re.findall(r'width="([\d.]+)" height="11" fill', picture))
-    values = [stored(f"real_robots.md # {group} | auto | mean")[0] for group in groups.values()]
+    values = [stored(f"real_robots.md # {group} | identify | mean")[0] for group in groups.values()]
     assert first / second == pytest.approx(values[0] / values[1], rel=0.01)
 
 
