@@ -28,8 +28,6 @@ _REFINED = 5
 # A cause also counts if it takes away this part of the squares of one joint's error, and that is
 # a part of the torque that matters.
 _OF_ONE_JOINT, _MATTERS = 0.75, 0.01
-# A fault of one joint is preferred to one of all joints that explains little more.
-_PREFERRED = 0.8
 _ROUNDS, _SMALL_STEP, _LARGEST_STEP = 10, 2e-3, 4.0
 # Shares of gravity in the torque, over that of motion, that are tried.
 _SHARES = (-1.5, -1.0, -0.7, 0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0, 5.0)
