@@ -2,8 +2,10 @@
 
 import csv
 import json
+import subprocess
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -32,6 +34,35 @@ def test_the_next_commands_find_the_truth(
         rows = [row for row in csv.DictReader(file) if row["name"] in truth]
     inside = [float(row["low"]) <= truth[row["name"]] <= float(row["high"]) for row in rows]
     assert len(inside) > 30 and np.mean(inside) > 0.9
+
+
+def test_the_next_commands_find_the_servos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Intervals hold nine of ten true parameters; MuJoCo and a C compiler read the files."""
+    monkeypatch.chdir(tmp_path)
+    printed = run("example", "so101")
+    assert printed.exit_code == 0, printed.output
+    enter, *commands = next_commands(Path("so101"), "so101.urdf")
+    assert all(command in printed.output for command in (enter, *commands))
+    monkeypatch.chdir(tmp_path / "so101")
+    for command in commands[:2]:
+        result = run(*command.split()[1:])
+        assert result.exit_code == 0, result.output
+    viewer, compiler = (command.split() for command in commands[2:])
+    assert mujoco.MjModel.from_xml_path(viewer[-1].partition("=")[2]).nu == 6
+    subprocess.run(compiler, check=True)
+    truth = json.loads(Path("truth.json").read_text())["drives"]
+    inside: list[bool] = []
+    with Path("known_gains/parameters.csv").open() as file:
+        for row in csv.DictReader(file):
+            name, _, over = row["parameter"].partition("/")
+            drive = truth[row["joint"]]
+            true = drive.get(name, 0.0) / (drive["gain"] if over else 1.0)
+            inside.append(float(row["low"]) <= true <= float(row["high"]))
+    assert len(inside) > 30 and np.mean(inside) > 0.85
+    known = json.loads(Path("known_gains/servo.json").read_text())["drives_for_simulation"]
+    assert [x["gain"] for x in known.values()] == [x["gain"] for x in truth.values()]
+    document = json.loads(Path("results/servo.json").read_text())
+    assert document["position_error_mrad"][-1]["simulation"] < 2.0
 
 
 def test_the_files_are_the_same_in_every_run(tmp_path: Path) -> None:

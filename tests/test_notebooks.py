@@ -37,7 +37,7 @@ def kinds(notebook: nbformat.NotebookNode) -> list[list[tuple[str, ...]]]:
 
 def test_there_are_notebooks() -> None:
     names = "chapter_7 control excitation_loop first_identification friction into_mujoco"
-    more = "learning_networks payload reading_the_report when_not_to_trust"
+    more = "learning_networks payload reading_the_report servo_arm when_not_to_trust"
     assert [path.stem for path in NOTEBOOKS] == f"{names} {more}".split()
 
 

@@ -47,7 +47,7 @@ LAYERS = {
     "uncertainty": {"least_squares"},
     "bodies": {"uncertainty"},
     "friction": {"uncertainty"},
-    "examples": {"systems"},
+    "examples": {"servo", "systems"},
     "export": {"bodies", "friction"},
     "instruments": {"bodies", "friction"},
     "likelihood": {"bodies", "friction"},

@@ -7,11 +7,12 @@ from ._common import Context, Output, OverwriteOption, command
 from ._options import argument, option
 
 
-@command("tutorial", "example", "example ur5 -o trial")
+@command("tutorial", "example", "example ur5 -o trial", "example so101")
 def example_command(
     context: Context,
     arm: Annotated[
-        Literal["panda", "puma560", "ur5"], argument("ARM", "panda, puma560 or ur5.")
+        Literal["panda", "puma560", "so101", "ur5"],
+        argument("ARM", "panda, puma560, so101 (position servos, no torques) or ur5."),
     ] = "panda",
     output: Annotated[
         Path | None,
@@ -26,7 +27,7 @@ def example_command(
 ) -> Output:
     """Write a robot file and two simulated logs to try the other commands on.
 
-    The logs are in the format of the arm's own software. truth.json holds the true coefficients.
+    The logs are in the format of the arm's own software. truth.json holds the true parameters.
     """
     from .._scratch import check_output_folder
     from ..examples import write_example
@@ -47,6 +48,15 @@ def example_command(
 def next_commands(folder: Path, robot: str) -> list[str]:
     """Return the commands to type after `jaxcslc example`."""
     stem, suffix = robot.rsplit(".", 1)
+    if stem == "so101":
+        identify = f"jaxcslc identify {robot} train.csv --validate validation.csv --drive servo"
+        return [
+            f"cd {folder}",
+            f"{identify} -o results",
+            f"{identify} --known gain=10.2,10.6,10.4,10.1,9.8,10 -o known_gains",
+            "python -m mujoco.viewer --mjcf=results/servos.xml",
+            f"cc -c results/{stem}.c -o {stem}.o",
+        ]
     return [
         f"cd {folder}",
         f"jaxcslc check {robot} train.csv",

@@ -79,12 +79,38 @@ class ServoOptions:
         ),
     ] = "0,0,0"
 
+    known: Annotated[
+        list[str] | None,
+        option(
+            group=_GROUP,
+            metavar="NAME=VALUE",
+            help="Parameter of the drives that is known, in SI units: one value, or one per joint,"
+            " as in gain=20 or damping=1.5,1.5,2. May be repeated. Wins over the robot file's"
+            " [drive].",
+        ),
+    ] = None
+
     def __post_init__(self) -> None:
         if (self.loaded is None) != (self.mass is None):
             raise UsageError("--loaded and --mass: got one of them; expected both or neither")
         if self.mass is not None and not 0.0 < self.mass < math.inf:
             raise UsageError(f"--mass: expected more than 0 kg, got {self.mass:g}")
         self._centre()
+        self.known_parameters()
+
+    def known_parameters(self) -> dict[str, float | list[float]]:
+        """Return the parameters that are known, by name."""
+        found: dict[str, float | list[float]] = {}
+        for text in self.known or ():
+            name, _, numbers = text.partition("=")
+            try:
+                values = [float(x) for x in numbers.split(",")]
+            except ValueError:
+                raise UsageError(
+                    f"--known: expected NAME=VALUE, as in gain=20, got {text!r}"
+                ) from None
+            found[name.strip()] = values[0] if len(values) == 1 else values
+        return found
 
     def _centre(self) -> list[float]:
         try:
@@ -161,6 +187,7 @@ def identify_servos(
         robot,
         [*training.values(), *loaded.values()],
         payloads=[*[None] * len(training), *[body] * len(loaded)],
+        known=dict(robot.drive or {}) | options.known_parameters(),
         progress=step,
     )
     report = servo_report(fit, training, held_out, progress=step)

@@ -2,6 +2,7 @@
 
 - `_small_arms`: pendulum, turntable and planar arm, and exact motions of them.
 - `_arms`: robot files, and simulated logs with noise, written by `jaxcslc example`.
+- `_servo_arm`: the same of an arm of position servos.
 """
 
 from ._arms import (

@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from ._servo_arm import SERVO_ARM, write_servo_example
+
 
 if TYPE_CHECKING:
     from ..manipulator import LinkParameters, Manipulator
@@ -79,7 +81,8 @@ class Example:
 
     - `robot`: the robot file.
     - `train`, `validation`: two logs of different motion.
-    - `truth`: JSON with the true coefficients by name, and the true links and friction.
+    - `truth`: JSON with the true coefficients by name, and the true links and friction; of servos,
+      the true parameters of the drives.
     """
 
     robot: Path
@@ -159,11 +162,12 @@ def write_example(arm: str, folder: str | Path, *, overwrite: bool = False) -> E
 
     Into one that it wrote before, too: files that were not changed since are replaced. The logs
     are in the format of the arm's own software: RTDE (`ur5`), libfranka (`panda`), or a table of
-    jaxcslc (`puma560`). They are the same in every run.
+    jaxcslc (`puma560`). Those of `so101`, an arm of position servos, have commands and positions
+    and no torques. All are the same in every run.
 
     **Arguments**
 
-    - `arm`: a key of `ARMS`.
+    - `arm`: a key of `ARMS`, or `so101`.
     - `folder`: new or empty.
     - `overwrite`: whether to replace files that it did not write, too.
 
@@ -179,13 +183,19 @@ def write_example(arm: str, folder: str | Path, *, overwrite: bool = False) -> E
     """
     from .._scratch import all_or_nothing, check_replaceable
 
-    if arm not in ARMS:
-        raise ValueError(f"there is no example {arm!r}; expected one of {', '.join(ARMS)}")
+    if arm not in (*ARMS, SERVO_ARM):
+        listed = ", ".join((*ARMS, SERVO_ARM))
+        raise ValueError(f"there is no example {arm!r}; expected one of {listed}")
     folder = Path(folder)
-    names = (ARMS[arm].file, "train.csv", "validation.csv", "truth.json")
+    robot = f"{SERVO_ARM}.urdf" if arm == SERVO_ARM else ARMS[arm].file
+    names = (robot, "train.csv", "validation.csv", "truth.json")
     check_replaceable(folder, names, overwrite=overwrite)
     with all_or_nothing(folder) as scratch:
-        _write_files(arm, Example(*(scratch / name for name in names)))
+        result = Example(*(scratch / name for name in names))
+        if arm == SERVO_ARM:
+            write_servo_example(result)
+        else:
+            _write_files(arm, result)
     return Example(*(folder / name for name in names))
 
 

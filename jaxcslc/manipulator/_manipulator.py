@@ -140,6 +140,8 @@ class Manipulator:
       None if all joints have `friction`.
     - `coupled`: pairs of joints that share a motor's inertia and friction.
     - `static_slopes`: of each joint's static friction, where known or guessed [s/rad or s/m].
+    - `drive`: known parameters of position servos by name, one value or one per joint; None if
+      nothing is known about them (`jaxcslc.servo`).
     - `source`: the file that it was read from, if it was.
 
     Build one with `Manipulator.from_modified_dh`, `load_robot` or `puma560`.
@@ -160,6 +162,9 @@ class Manipulator:
     joint_friction: tuple[tuple[str, ...] | None, ...] | None = None
     coupled: tuple[Coupling, ...] = ()
     static_slopes: tuple[float, ...] | None = dataclasses.field(default=None, compare=False)
+    drive: Mapping[str, float | Sequence[float]] | None = dataclasses.field(
+        default=None, compare=False, repr=False
+    )
     source: Source | None = dataclasses.field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -11,8 +11,11 @@ Modules, in reading order:
 - `_drive`: the parameters of a servo and its joint.
 - `_simulation`, `servo.c`: positions from commands; loads of one joint.
 - `_search`: unknowns of a joint, and least squares of its simulated positions.
+- `_start`: where the search starts: a regression of the whole arm.
+- `_sensitivity`: derivatives of all joints' positions with respect to all unknowns.
 - `_intervals`: covariance of all unknowns, and intervals of the parameters.
 - `_identifiability`: what recordings cannot tell apart, and what would.
+- `_base`: whether the base moved.
 - `_fit`: `identify_servo` and its result.
 - `_mjcf`: MuJoCo models of an arm of servos, and replay of commands in them.
 - `_feedforward`: commands for a wanted motion, in C.

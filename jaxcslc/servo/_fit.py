@@ -18,15 +18,16 @@ from dataclasses import astuple, dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.signal import savgol_filter
 
 from .._display import Progress, steps as progress_steps
 from ..manipulator import LinkParameters, Manipulator
 from ..recordings import encoder_resolution
+from ._base import base_note
 from ._drive import ServoDrive
 from ._identifiability import ALONE, ConfoundedParameters, confounded
-from ._intervals import OFFSET_STEP, ServoParameter, Stack, information_per_sample
+from ._intervals import ServoParameter, Stack, information_per_sample
 from ._recording import ServoRecording
 from ._search import (
     MOVING,
@@ -34,10 +35,10 @@ from ._search import (
     UNKNOWNS,
     JointMotion,
     JointProblem,
-    regression,
-    starting_point,
 )
+from ._sensitivity import Coupling, sensitivities
 from ._simulation import LONGEST_STEP, joint_loads, simulate, with_payload
+from ._start import Regression, starting_point
 
 
 ESTIMATED = (
@@ -59,11 +60,17 @@ MASS_ERROR = 0.2
 # The share of a gain's value from which on its error makes it useless: the 95 % interval spans a
 # factor of four.
 _VAGUE_GAIN = 0.35
-_COARSE_STEP = 2.0 * LONGEST_STEP
+# Servos of one arm differ so much in gain: joints of one size have the same servos, others may not.
+_LIKE_GAINS = 0.35
+# Steps of the first search, and of derivatives.
+_COARSE_STEP, _DERIVATIVE_STEP = 4.0 * LONGEST_STEP, 2.0 * LONGEST_STEP
 # Iterations: of the first and second search for each joint alone, and of that for all together.
 _COARSE, _AGAIN, _TOGETHER = 20, 6, 25
-_DAMPINGS = (1e-3, 1e-1, 1.0, 10.0)  # of Levenberg and Marquardt, tried one after the other
-_LITTLE = 1e-3  # part of the cost; less of a gain ends the search
+_DAMPINGS = (1e-3, 1e-1, 1.0)  # of Levenberg and Marquardt, tried one after the other
+_LITTLE = 1e-2  # part of the cost; less of a gain ends the search
+# Steps of differences, of those in `UNKNOWNS`: halved where the search ends, for friction makes the
+# cost rough; smaller ones are rounding.
+_LEAST_SHRINK = 0.2
 _START_NOISE = 0.005  # rad, of residuals, before the first search
 _START_CORRELATION = 50.0  # samples that carry the information of one, likewise
 _SMOOTHING = 0.12  # s, window of the cubic polynomials that give accelerations of other joints
@@ -144,7 +151,7 @@ def identify_servo(
     *,
     payloads: Sequence[LinkParameters | None] | None = None,
     known: Mapping[str, float | Sequence[float]] | None = None,
-    estimated: Sequence[str] = ESTIMATED,
+    estimated: Sequence[str] | None = None,
     mass_error: float = MASS_ERROR,
     progress: Progress = None,
 ) -> ServoFit:
@@ -163,7 +170,8 @@ def identify_servo(
     - `payloads`: the body that each recording's arm carried, in the frame of the last link, or
       None for nothing. A known payload determines the unit of torque.
     - `known`: drive parameters that are known, by name: one value, or one per joint.
-    - `estimated`: names of the parameters to estimate.
+    - `estimated`: names of the parameters to estimate; by default `ESTIMATED`, and `viscous`
+      friction if `damping` is known.
     - `mass_error`: relative standard error of the robot's masses. Without a payload, the errors of
       all torques have it. 0 takes the masses as exact; infinity leaves ratios to the gain alone.
     - `progress`: a function for messages, or whether to show them.
@@ -194,6 +202,8 @@ def identify_servo(
     """
     given = [recordings] if isinstance(recordings, ServoRecording) else list(recordings)
     carried: list[LinkParameters | None] = list(payloads or [None] * len(given))
+    if estimated is None:
+        estimated = (*ESTIMATED, "viscous") if "damping" in (known or {}) else ESTIMATED
     _check(robot, given, carried, estimated, mass_error)
     base = _known_rows(robot, given, known or {})
     names = tuple(name for name in estimated if name not in (known or {}))
@@ -202,7 +212,7 @@ def identify_servo(
         ratios_only = math.isinf(mass_error) and not search.is_absolute
         scale_error = 0.0 if ratios_only else mass_error
         step("searching for each joint alone")
-        search.alone()
+        search.alone(scale_error)
         step("searching for all joints together")
         search.together(scale_error)
         step("computing intervals")
@@ -291,7 +301,7 @@ class _Search:
         self.smooth = [_smoothed(x) for x in self.recordings]
         self.velocities = [_start_velocity(x) for x in self.recordings]
         self.offsets = self.base[:, NAMES.index("offset")].copy()
-        self.masses = 1.0
+        self.masses, self.shrink = 1.0, 0.5
         self.notes: list[str] = []
         self.vague_gain = [False] * self.robot.joint_count
         self.unknowns: list[np.ndarray] = []
@@ -326,26 +336,39 @@ class _Search:
                 )
         return [tuple(motions) for motions in per_joint]
 
-    def alone(self) -> None:
-        """Search joint by joint from the regression, with coarse steps."""
+    def alone(self, mass_error: float) -> None:
+        """Search joint by joint from the regression, with coarse steps.
+
+        Zero positions and the masses' scale are those of the regression: what a joint alone says
+        about them depends on the errors of the others.
+        """
+        gains = self.base[:, NAMES.index("gain")]
+        unknown = np.full(len(gains), np.nan)
+        known = unknown if "gain" in self.names else gains
+        free = np.append(np.full(len(gains), "offset" in self.names), self.is_absolute)
+        regression = Regression.of(self.robot, self.recordings, self.payloads, self.smooth, known)
+        start = regression.start(self.offsets, free & self._scalable(mass_error), mass_error)
+        self.offsets, self.masses = start.offsets, start.masses
+        self.base[:, NAMES.index("offset")] = start.offsets
+        names = tuple(name for name in self.names if name != "offset")
         weight = 1.0 / (_START_NOISE**2 * _START_CORRELATION)
         self.problems = [
-            JointProblem(self.names, self.base[i].copy(), motions, weight, _COARSE_STEP)
+            JointProblem(names, self.base[i].copy(), motions, weight, _COARSE_STEP)
             for i, motions in enumerate(self.motions(self.offsets))
         ]
-        starts: list[np.ndarray] = []
-        for i, problem in enumerate(self.problems):
-            found = regression(
-                problem.motions,
-                [v[:, i] for _, v, _ in self.smooth],
-                [a[:, i] for _, _, a in self.smooth],
-            )
-            starts.append(starting_point(self.names, found))
-        self.unknowns = self._minima(starts, _COARSE)
+        self.unknowns = self._minima([starting_point(names, x) for x in start.found], _COARSE)
         self._settle_gains()
         self._find_ends()
         self._take_motions(self._simulated(self.unknowns, self.masses))
         self.unknowns = self._minima(self.unknowns, _AGAIN)
+        rows = [p.rows(x[None])[0] for p, x in zip(self.problems, self.unknowns, strict=True)]
+        self.problems = [dataclasses.replace(x, names=self.names) for x in self.problems]
+        pairs = zip(self.problems, rows, strict=True)
+        self.unknowns = [problem.unknowns_of(row) for problem, row in pairs]
+
+    def _scalable(self, mass_error: float) -> Bool[np.ndarray, " unknowns"]:
+        """Return which of the zero positions and the scale of the masses may be sought."""
+        return np.append(np.full(self.robot.joint_count, True), mass_error > 0.0)
 
     def _with_offsets(self, offsets: Float[np.ndarray, " joints"]) -> list[JointProblem]:
         return [
@@ -397,9 +420,16 @@ class _Search:
         return list(np.ascontiguousarray(joined.T))
 
     def _take_weights(self, misfits: Sequence[np.ndarray]) -> None:
-        for i, (problem, misfit) in enumerate(zip(self.problems, misfits, strict=True)):
-            weight = 1.0 / information_per_sample(misfit, problem)
-            self.problems[i] = dataclasses.replace(problem, weight=weight)
+        # Correlation is taken as that of the median joint: a slow misfit that an iteration leaves
+        # in one joint would otherwise lower that joint's weight, and stay.
+        pairs = list(zip(misfits, self.problems, strict=True))
+        variances = [max(float(np.mean(misfit**2)), 1e-12) for misfit, _ in pairs]
+        sizes = [information_per_sample(*pair) for pair in pairs]
+        samples = float(np.median(np.array(sizes) / np.array(variances)))
+        self.problems = [
+            dataclasses.replace(problem, weight=1.0 / (variance * samples))
+            for problem, variance in zip(self.problems, variances, strict=True)
+        ]
 
     def _take_motions(self, simulated: Sequence[np.ndarray]) -> None:
         """Take loads from a simulated motion, and from the zero positions found.
@@ -417,31 +447,35 @@ class _Search:
         self.problems = self._with_offsets(self.offsets)
 
     def _settle_gains(self) -> None:
-        """Fix gains that nothing determines to the mean of the others."""
+        """Expect gains that nothing determines to be like the others."""
         if "gain" not in self.names:
             return
         at = self.names.index("gain")
         gains = np.array([x[at] for x in self.unknowns])
-        errors: list[float] = []
-        for problem, x in zip(self.problems, self.unknowns, strict=True):
-            random = np.linalg.inv(problem.information(x, self.masses))[at, at]
-            # A misfit may be correlated with the load: it then falsifies the gain by as much.
-            misfit = float(np.mean(problem.residuals(x[None], self.masses) ** 2))
-            load = problem.load(x, self.masses) / math.exp(x[at])
-            errors.append(math.sqrt(random + misfit / max(load, 1e-9) ** 2))
+        pairs = list(zip(self.problems, self.unknowns, strict=True))
+        random = [np.linalg.inv(p.information(x, self.masses))[at, at] for p, x in pairs]
+        errors = self._gain_errors(random)
         weights = np.array(errors) ** -2.0
         self.vague_gain = [error > _VAGUE_GAIN for error in errors]
         sure = ~np.array(self.vague_gain)
         common = float(np.average(gains[sure], weights=weights[sure])) if sure.any() else None
+        prior = UNKNOWNS["gain"].start if common is None else common, _LIKE_GAINS
         for i, vague in enumerate(self.vague_gain):
-            if not vague:
-                continue
-            row = self.base[i].copy()
-            gain = UNKNOWNS["gain"].start if common is None else common
-            row[NAMES.index("gain")] = math.exp(gain)
-            names = tuple(name for name in self.names if name != "gain")
-            self.problems[i] = dataclasses.replace(self.problems[i], names=names, known=row)
-            self.unknowns[i] = np.delete(self.unknowns[i], at)
+            if vague:
+                self.problems[i] = dataclasses.replace(self.problems[i], gain_prior=prior)
+
+    def _gain_errors(self, variances: Sequence[float]) -> list[float]:
+        """Return relative errors of the gains, misfits included.
+
+        A misfit may be correlated with the load: it then falsifies the gain by as much.
+        """
+        errors: list[float] = []
+        at = NAMES.index("gain")
+        for problem, x, variance in zip(self.problems, self.unknowns, variances, strict=True):
+            misfit = float(np.mean(problem.residuals(x[None], self.masses) ** 2))
+            load = problem.load(x, self.masses) / problem.rows(x[None])[0, at]
+            errors.append(math.sqrt(variance + misfit / max(load, 1e-9) ** 2))
+        return errors
 
     def _find_ends(self) -> None:
         """Find ends of travel on which a joint leans, and take the file's elsewhere."""
@@ -466,7 +500,9 @@ class _Search:
 
         The scale of the masses is one of the unknowns where something else fixes torques.
         """
-        self.problems = [dataclasses.replace(x, longest_step=LONGEST_STEP) for x in self.problems]
+        self.problems = [
+            dataclasses.replace(problem, longest_step=_DERIVATIVE_STEP) for problem in self.problems
+        ]
         simulated = self._simulated(self.unknowns, self.masses)
         for _ in range(_TOGETHER):
             self._take_motions(simulated)
@@ -477,16 +513,17 @@ class _Search:
                 [problem.low - x for problem, x in zip(self.problems, self.unknowns, strict=True)]
             )
             stack = self.stack(misfits, mass_error)
+            cost = before
             for damping in _DAMPINGS:
                 unknowns, masses = self._moved(stack.step(np.append(low, -np.inf), damping))
                 trial = self._simulated(unknowns, masses)
                 cost = self._cost(unknowns, masses, self._misfits(trial), mass_error)
                 if cost < before:
+                    self.unknowns, self.masses, simulated = unknowns, masses, trial
                     break
-            else:
-                break
-            self.unknowns, self.masses, simulated = unknowns, masses, trial
             if cost > (1.0 - _LITTLE) * before:
+                self.shrink *= 0.5
+            if self.shrink < _LEAST_SHRINK:
                 break
         self._take_motions(simulated)
         self.misfits = self._misfits(simulated)
@@ -494,16 +531,24 @@ class _Search:
 
     def stack(self, misfits: Sequence[np.ndarray], mass_error: float) -> Stack:
         """Linearise the problems of all joints."""
-        steps = OFFSET_STEP * np.eye(len(self.offsets))
-        shifted = [self._with_offsets(self.offsets + step) for step in steps]
         scale = self.masses, mass_error, self.is_absolute
-        return Stack.of(self.problems, shifted, self.unknowns, misfits, *scale)
+        return Stack.of(self.problems, self.unknowns, misfits, self.sensitivities(), *scale)
+
+    def sensitivities(self) -> list[Float[np.ndarray, "samples all"]]:
+        """Return derivatives of each joint's positions with respect to all unknowns."""
+        robot = _scaled(self.robot, self.masses)
+        couplings = [
+            Coupling.of(with_payload(robot, payload), q - self.offsets, v, a)
+            for (q, v, a), payload in zip(self.smooth, self.payloads, strict=True)
+        ]
+        scale = self.masses, self.is_absolute
+        return sensitivities(self.problems, self.unknowns, couplings, *scale, self.shrink)
 
     def _moved(self, step: Float[np.ndarray, " unknowns"]) -> tuple[list[np.ndarray], float]:
         ends = np.cumsum([len(x) for x in self.unknowns])
         parts = np.split(step, ends)[:-1]
         unknowns = [
-            np.maximum(x + part, problem.low)
+            np.maximum(x + np.clip(part, -problem.deviations, problem.deviations), problem.low)
             for problem, x, part in zip(self.problems, self.unknowns, parts, strict=True)
         ]
         masses = self.masses * math.exp(float(step[-1])) if self.is_absolute else self.masses
@@ -536,6 +581,10 @@ class _Search:
         )
         self._take_file_limits(rows)
         stack = self.stack(self.misfits, mass_error)
+        if "gain" in self.names:
+            starts = np.cumsum([0, *[len(x) for x in self.unknowns[:-1]]])
+            variances = np.diag(stack.covariance)[starts + self.names.index("gain")]
+            self.vague_gain = [x > _VAGUE_GAIN for x in self._gain_errors(list(variances))]
         parameters, covariance, refused = stack.parameters(
             self.problems, self.unknowns, rows, self.vague_gain, ratios_only
         )
@@ -549,9 +598,15 @@ class _Search:
             for joint, name in refused
             if name in ALONE
         ]
+        drives = tuple(ServoDrive(*map(float, row)) for row in rows)
+        robot = _scaled(self.robot, self.masses)
+        empty = [x for x, load in zip(self.recordings, self.payloads, strict=True) if load is None]
+        moved = base_note(robot, drives, empty, [_smoothed(x) for x in empty]) if empty else None
+        if moved is not None:
+            self.notes.append(moved)
         return ServoFit(
-            _scaled(self.robot, self.masses),
-            tuple(ServoDrive(*map(float, row)) for row in rows),
+            robot,
+            drives,
             tuple(parameters),
             covariance,
             "gain" if ratios_only or all(self.vague_gain) else "torque",

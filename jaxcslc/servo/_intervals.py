@@ -22,13 +22,11 @@ from ._search import NAMES, JointProblem
 _BLOCK = 2.0  # s: shortest blocks of residuals that count as independent
 _BLOCKS = 100  # as many at most
 _DETERMINED = 0.5  # part of the prior's deviation up to which an error counts as the recordings'
-# Part of the residuals that counts as an error of the model which repeats in all blocks, so that
-# their scatter does not show it. A heuristic: simulators with steps of 0.5 ms differ by as much.
-_REPEATED = 0.1
-_MASS_STEP = 0.02  # of the logarithm of the masses' scale, for derivatives
+# Part of the residuals, beyond the encoders' rounding, that counts as an error of the model which
+# repeats in all blocks, so that their scatter does not show it. A heuristic: a base that gives way
+# falsifies armatures of legs by as much (scripts/studies/servo).
+_REPEATED = 0.3
 _EXACT = 1e-6  # relative error of masses that count as exact
-OFFSET_STEP = 0.01
-"""Change of a zero position [rad] from which derivatives of loads are taken."""
 
 
 @dataclass(frozen=True)
@@ -87,19 +85,17 @@ class Stack:
     def of(
         cls,
         problems: Sequence[JointProblem],
-        shifted: Sequence[Sequence[JointProblem]],
         unknowns: Sequence[np.ndarray],
         misfits: Sequence[np.ndarray],
+        derivatives: Sequence[np.ndarray],
         masses: float,
         mass_error: float,
         has_scale: bool,
     ) -> "Stack":
         """Linearise the problems of all joints.
 
-        - `misfits`: residuals of each joint in a simulation of the whole arm; derivatives are those
-          of joints alone, which leave out what a joint does to its neighbours' accelerations.
-        - `shifted`: for each joint, the problems with its zero position moved by `OFFSET_STEP`, as
-          the loads of the other joints see it.
+        - `misfits`: residuals of each joint in a simulation of the whole arm.
+        - `derivatives`: of those residuals with respect to all unknowns.
         - `mass_error`: prior standard error of the masses' scale.
         """
         ends = np.cumsum([0, *[len(x) for x in unknowns]])
@@ -108,29 +104,17 @@ class Stack:
         prior, gradient = np.zeros(size), np.zeros(size)
         information, repeated = np.zeros((size, size)), np.zeros((size, size))
         score = np.zeros((len(slices), size))
-        for i, (problem, x) in enumerate(zip(problems, unknowns, strict=True)):
-            residuals, own = problem.linearised(x, 0.5, masses)
-            J = np.zeros((len(residuals), size))
-            J[:, ends[i] : ends[i + 1]] = own
-            for j, others in enumerate(shifted):
-                if j != i and "offset" in problems[j].names:
-                    change = others[i].residuals(x[None], masses)[0] - residuals
-                    J[:, ends[j] + problems[j].names.index("offset")] = change / OFFSET_STEP
-            if has_scale:
-                up, down = (
-                    problem.residuals(x[None], masses * math.exp(step))[0]
-                    for step in (_MASS_STEP, -_MASS_STEP)
-                )
-                J[:, -1] = (up - down) / (2.0 * _MASS_STEP)
-            deviations = np.array([unknown.deviation for unknown in problem.unknowns])
-            prior[ends[i] : ends[i + 1]] = deviations**-2.0
-            gradient[ends[i] : ends[i + 1]] += problem.prior(x[None])[0] / deviations
+        for i, (problem, x, J) in enumerate(zip(problems, unknowns, derivatives, strict=True)):
+            prior[ends[i] : ends[i + 1]] = problem.deviations**-2.0
+            gradient[ends[i] : ends[i + 1]] += problem.prior(x[None])[0] / problem.deviations
             misfit = misfits[i]
             gradient += problem.weight * (J.T @ misfit)
             information += problem.weight * (J.T @ J)
             score += problem.weight * np.array([J[part].T @ misfit[part] for part in slices])
             # J' e e' J for an error e that lies in the span of J, evenly in all its directions.
-            energy = _REPEATED**2 * float(misfit @ misfit) / len(x)
+            rounding = len(misfit) * problem.known[NAMES.index("encoder_step")] ** 2 / 12.0
+            excess = max(float(misfit @ misfit) - rounding, 0.0)
+            energy = _REPEATED**2 * excess / len(x)
             repeated += problem.weight**2 * energy * (J.T @ J)
         # A scale without error is no unknown: a very small error keeps the matrices regular.
         prior[-1] = max(mass_error, _EXACT) ** -2.0
@@ -140,7 +124,9 @@ class Stack:
         correction = len(slices) / max(len(slices) - most, 1)
         meat = correction * score.T @ score + repeated + np.diag(prior)
         bread = np.linalg.inv(information)
-        covariance = bread @ meat @ bread
+        # Friction makes the cost rough, which ends the search: the step that is left is an error.
+        left = bread @ gradient
+        covariance = bread @ meat @ bread + np.outer(left, left)
         return cls(gradient, information, covariance, len(slices), has_scale)
 
     def step(
@@ -179,9 +165,6 @@ class Stack:
         for joint, (problem, x) in enumerate(zip(problems, unknowns, strict=True)):
             gain = float(rows[joint, gain_index])
             as_ratio = ratios_only or vague_gain[joint]
-            if vague_gain[joint]:
-                found.append((joint, "gain", gain, False))
-                derivatives.append(np.zeros(size))
             gain_at = at + problem.names.index("gain") if "gain" in problem.names else None
             for k, (name, unknown) in enumerate(zip(problem.names, problem.unknowns, strict=True)):
                 derivative, value = np.zeros(size), float(x[k])
@@ -201,8 +184,8 @@ class Stack:
                 torque = name == "gain" or unknown.form == "ratio"
                 if torque and gain_at is not None and not self.has_scale and not as_ratio:
                     derivative[-1] = value
-                sure = spread[at + k] < _DETERMINED * unknown.deviation
-                found.append((joint, label, value, sure and not (name == "gain" and ratios_only)))
+                sure = spread[at + k] < _DETERMINED * problem.deviations[k]
+                found.append((joint, label, value, sure and not (name == "gain" and as_ratio)))
                 derivatives.append(derivative)
             at += len(x)
         T = np.array(derivatives)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import nnls
 
 from ._drive import DRIVE_UNITS, TORQUES
 from ._simulation import JointLoads, simulate_joint
@@ -20,7 +19,6 @@ NAMES = tuple(DRIVE_UNITS)
 
 MOVING = 0.02
 """Velocity below which friction may hold a joint [rad/s]."""
-_DELAYS = np.arange(0.0, 0.121, 0.01)  # s, tried by the regression
 _DAMPINGS = 10.0 ** np.arange(-2.0, 4.0)  # of Levenberg and Marquardt, tried side by side
 _LARGEST = 1.0  # change of an unknown in an iteration, in prior deviations
 # Where 0 is no value: a motor without inertia has no motion within the play of its gear [s²].
@@ -39,7 +37,8 @@ class Unknown:
     - `form`: `"log"`: the parameter's logarithm; `"ratio"`: the parameter over the gain;
       `"plain"`: the parameter; `"signed"`: likewise, of either sign.
     - `start`: where nothing better is known.
-    - `step`: of central differences.
+    - `step`: of central differences. It moves joints by about 1 mrad: friction makes positions
+      rough, and smaller steps would differentiate that.
     - `centre`, `deviation`: of the prior, which is weak: what drives of any size may have.
     """
 
@@ -62,7 +61,7 @@ UNKNOWNS = {
     "delay": Unknown("plain", 0.01, 0.002, 0.0, 0.2),
     "dead_zone": Unknown("plain", 0.002, 0.0005, 0.0, 0.01),
     "torque_limit": Unknown("ratio", 0.2, 0.01, 0.2, 0.2),
-    "offset": Unknown("signed", 0.0, 0.005, 0.0, 0.15),
+    "offset": Unknown("signed", 0.0, 0.03, 0.0, 0.15),
     "armature": Unknown("ratio", 0.002, 0.0002, 0.0, 0.005),
     "coulomb": Unknown("ratio", 0.01, 0.0005, 0.0, 0.1),
     "viscous": Unknown("ratio", 0.02, 0.002, 0.0, 0.3),
@@ -111,6 +110,7 @@ class JointProblem:
     - `weight`: of a squared residual [1/rad²]: one over the variance of the residuals times the
       number of neighbouring samples that carry the information of one.
     - `longest_step`: of the simulation [s].
+    - `gain_prior`: centre and deviation of the gain's logarithm.
     """
 
     names: tuple[str, ...]
@@ -118,6 +118,7 @@ class JointProblem:
     motions: tuple[JointMotion, ...]
     weight: float
     longest_step: float
+    gain_prior: tuple[float, float] = (UNKNOWNS["gain"].centre, UNKNOWNS["gain"].deviation)
 
     @property
     def unknowns(self) -> list[Unknown]:
@@ -130,6 +131,23 @@ class JointProblem:
             [
                 -np.inf if x.form in ("log", "signed") else _LEAST.get(name, 0.0)
                 for name, x in zip(self.names, self.unknowns, strict=True)
+            ]
+        )
+
+    @property
+    def centres(self) -> Float[np.ndarray, " unknowns"]:
+        """Centres of the prior."""
+        return np.array(
+            [self.gain_prior[0] if name == "gain" else UNKNOWNS[name].centre for name in self.names]
+        )
+
+    @property
+    def deviations(self) -> Float[np.ndarray, " unknowns"]:
+        """Deviations of the prior."""
+        return np.array(
+            [
+                self.gain_prior[1] if name == "gain" else UNKNOWNS[name].deviation
+                for name in self.names
             ]
         )
 
@@ -189,9 +207,7 @@ class JointProblem:
 
     def prior(self, x: Float[np.ndarray, "sets unknowns"]) -> Float[np.ndarray, "sets unknowns"]:
         """Return the prior's residuals."""
-        unknowns = self.unknowns
-        centre = np.array([unknown.centre for unknown in unknowns])
-        return (x - centre) / np.array([unknown.deviation for unknown in unknowns])
+        return (x - self.centres) / self.deviations
 
     def cost(
         self, x: Float[np.ndarray, "sets unknowns"], masses: float = 1.0
@@ -217,14 +233,13 @@ class JointProblem:
     ) -> Float[np.ndarray, "unknowns unknowns"]:
         """Return half the second derivatives of the cost (Gauss and Newton)."""
         _, J = self.linearised(x, 1.0, masses)
-        deviations = np.array([unknown.deviation for unknown in self.unknowns])
-        return self.weight * (J.T @ J) + np.diag(deviations**-2.0)
+        return self.weight * (J.T @ J) + np.diag(self.deviations**-2.0)
 
     def minimum(
         self, x: Float[np.ndarray, " unknowns"], iterations: int, masses: float = 1.0
     ) -> Float[np.ndarray, " unknowns"]:
         """Return the least cost's unknowns (Levenberg and Marquardt, within bounds)."""
-        deviations = np.array([unknown.deviation for unknown in self.unknowns])
+        deviations = self.deviations
         low, shrink, stalled = self.low, 1.0, 0
         damping = 1e-2
         cost = self.cost(x[None], masses)[0]
@@ -254,68 +269,6 @@ class JointProblem:
             if stalled > _STALLED:
                 break
         return x
-
-
-def regression(
-    motions: tuple[JointMotion, ...],
-    velocity: list[Float[np.ndarray, " samples"]],
-    acceleration: list[Float[np.ndarray, " samples"]],
-) -> dict[str, float]:
-    """Return start values from the regression of command minus position on the motion.
-
-    With delayed command c, (c - r) K = M qdd + load + D qd + J qdd + (C + k |load|) sign(qd) is
-    linear in 1 / K, D / K, J / K, C / K and k / K. Samples at rest are left out.
-    """
-    best: tuple[float, dict[str, float]] = (math.inf, {})
-    for delay in _DELAYS:
-        blocks: list[np.ndarray] = []
-        errors: list[np.ndarray] = []
-        for motion, v, a in zip(motions, velocity, acceleration, strict=True):
-            moving = np.abs(v) > MOVING
-            load = motion.loads(1.0)
-            q, sign = motion.position, np.sign(v)
-            torque = (
-                load.torque[:, 0] + load.torque[:, 1] * np.cos(q) + load.torque[:, 2] * np.sin(q)
-            )
-            late = np.interp(motion.time - delay, motion.time, motion.command)
-            columns = [torque + load.inertia * a, v, a, sign, np.abs(torque) * sign]
-            blocks.append(np.stack(columns, axis=1)[moving])
-            errors.append((late - q)[moving])
-        A, e = np.concatenate(blocks), np.concatenate(errors)
-        if len(e) < A.shape[1]:
-            return {}
-        scale = np.maximum(np.sqrt(np.mean(A**2, axis=0)), 1e-12)
-        values, rest = nnls(A / scale, e)
-        if float(rest) < best[0]:
-            inverse, damping, armature, coulomb, load_friction = map(float, values / scale)
-            found = {
-                "delay": float(delay),
-                "damping": damping,
-                "armature": armature,
-                "coulomb": coulomb,
-            }
-            if inverse > 0.0:
-                found["gain"] = -math.log(inverse)
-                found["load_friction"] = load_friction / inverse
-            best = float(rest), found
-    return best[1]
-
-
-def starting_point(
-    names: tuple[str, ...], found: dict[str, float]
-) -> Float[np.ndarray, " unknowns"]:
-    """Return values of the unknowns: the regression's, within bounds, or the table's."""
-    x: list[float] = []
-    for name in names:
-        unknown = UNKNOWNS[name]
-        value = found.get(name, unknown.start)
-        if unknown.form == "log":
-            x.append(min(max(value, unknown.centre - 2.0), unknown.centre + 4.0))
-        elif unknown.form == "signed":
-            x.append(value)
-        else:
-            x.append(min(max(value, 0.2 * unknown.start), 2.0 * unknown.deviation))
-    return np.array(x)
 
 
 assert {name for name, unknown in UNKNOWNS.items() if unknown.form == "ratio"} <= set(TORQUES)

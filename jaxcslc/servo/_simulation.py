@@ -22,8 +22,8 @@ from ..recordings import as_float
 from ._drive import DRIVE_UNITS, ServoDrive
 
 
-LONGEST_STEP = 0.0025
-"""Longest step of a simulation [s]: eight of 20 ms, of which a servo's loop takes 20 to 60 ms."""
+LONGEST_STEP = 0.00125
+"""Longest step of a simulation [s]. Twice as much errs by half an encoder tick with play."""
 # Sweeps over the joints until velocities change by no more [rad/s]: the matrix is positive
 # definite, and armatures make its diagonal large. Six joints take about eight sweeps.
 _SWEEPS = 200
@@ -73,7 +73,7 @@ def _function(name: str) -> CFunction:
         ),
         "simulate_joint": (
             *[_COLUMN] * 4,
-            CArray("samples three"),
+            CArray("samples four"),
             CArray("sets parameters"),
             CArray("two"),
             CArray("sets samples", written=True),
@@ -242,20 +242,22 @@ class JointLoads:
     """Load and inertia of one joint while the other joints move in a given way.
 
     The torque of the links is `torque[:, 0] + torque[:, 1] * cos(q) + torque[:, 2] * sin(q)` for
-    position q of the joint: gravity on a turning joint is sinusoidal in its own position.
+    position q of the joint: gravity on a turning joint is sinusoidal in its own position. The
+    torque of the other joints' accelerations comes on top.
 
     **Attributes**
 
-    - `torque`: shape `(samples, 3)` [N m].
+    - `torque`: shape `(samples, 4)`, the last column of the other joints' accelerations [N m].
     - `inertia`: of the links that the joint moves [kg m²]; it does not depend on q.
     """
 
-    torque: Float[np.ndarray, "samples 3"]
+    torque: Float[np.ndarray, "samples 4"]
     inertia: Float[np.ndarray, " samples"]
 
     def torque_at(self, q: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
         """Return the torque of the links where the joint has position q."""
-        return self.torque[:, 0] + self.torque[:, 1] * np.cos(q) + self.torque[:, 2] * np.sin(q)
+        a, b, c, d = self.torque.T
+        return a + b * np.cos(q) + c * np.sin(q) + d
 
     def scaled(self, factor: float) -> "JointLoads":
         """Return the loads of links whose masses are multiplied by `factor`."""
@@ -279,9 +281,10 @@ def joint_loads(
     loads: list[JointLoads] = []
     for i, kind in enumerate(robot.kinds):
         inertia = np.ascontiguousarray(mass[:, i, i])
-        coupling = total[:, i] - inertia * acceleration[:, i]
-        torque = np.zeros((position.shape[0], 3))
-        torque[:, 0] = coupling
+        accelerated = np.einsum("sj,sj->s", mass[:, i], acceleration)
+        torque = np.zeros((position.shape[0], 4))
+        torque[:, 0] = total[:, i] - accelerated
+        torque[:, 3] = accelerated - inertia * acceleration[:, i]
         if kind == "R":
             turned = position.copy()
             turned[:, i] += 0.5 * np.pi
@@ -289,7 +292,7 @@ def joint_loads(
             c, s = np.cos(position[:, i]), np.sin(position[:, i])
             torque[:, 1] = gravity[:, i] * c - quarter * s
             torque[:, 2] = gravity[:, i] * s + quarter * c
-            torque[:, 0] = coupling - gravity[:, i]
+            torque[:, 0] -= gravity[:, i]
         loads.append(JointLoads(torque, inertia))
     return loads
 

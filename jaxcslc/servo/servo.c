@@ -128,29 +128,39 @@ static double slope(const Command *c) {
          : (c->command[(i + 1) * k] - c->command[i * k]) / (c->time[i + 1] - c->time[i]);
 }
 
-/* One joint, the others known: `load`, its torque (samples, 3) as load[0] + load[1] cos q +
-   load[2] sin q; `inertia` of the links it carries (samples,). Several sets of parameters. */
+/* Where the gear of a joint is that has been at rest: on the flank that carries its load. */
+static double flank(const double *p, double load) {
+  double half = 0.5 * p[PLAY];
+  return load > 0.0 ? half : load < 0.0 ? -half : 0.0;
+}
+
+/* One joint, the others known: `load`, its torque (samples, 4) as load[0] + load[1] cos q +
+   load[2] sin q + load[3], where load[3] is of the others' accelerations, which friction does not
+   feel; `inertia` of the links it carries (samples,). Several sets of parameters. */
 void simulate_joint(const double *time, const double *command, const double *sum,
                     const double *inertia, const double *load, const double *drives,
                     const double *start, double *position, long samples, long sets, long substeps) {
   for (long set = 0; set < sets; set++) {
     const double *p = drives + set * PARAMETERS;
     double *out = position + set * samples;
-    Joint s = {.r = start[0], .v = start[1], .motor = start[1]};
+    double q0 = start[0] - p[OFFSET];
+    double held = load[0] + load[1] * cos(q0) + load[2] * sin(q0);
+    Joint s = {.r = start[0], .v = start[1], .motor = start[1], .gap = flank(p, held)};
     Command c = {time, command, sum, samples, 1, 0};
     double before = integral(&c, time[0] - p[DELAY]);
     out[0] = s.r;
     for (long n = 0; n + 1 < samples; n++) {
       double h = (time[n + 1] - time[n]) / substeps;
-      const double *a = load + 3 * n, *b = a + 3;
+      const double *a = load + 4 * n, *b = a + 4;
       for (long k = 0; k < substeps; k++) {
         double x = (k + 0.5) / substeps, q = s.r - p[OFFSET];
         double after = integral(&c, time[n] + (k + 1) * h - p[DELAY]);
         double m = inertia[n] + x * (inertia[n + 1] - inertia[n]);
-        double torque = a[0] + x * (b[0] - a[0]) + (a[1] + x * (b[1] - a[1])) * cos(q) +
-                        (a[2] + x * (b[2] - a[2])) * sin(q);
+        double bias = a[0] + x * (b[0] - a[0]) + (a[1] + x * (b[1] - a[1])) * cos(q) +
+                      (a[2] + x * (b[2] - a[2])) * sin(q);
+        double torque = bias + a[3] + x * (b[3] - a[3]);
         Step links, motor;
-        begin(&s, p, (after - before) / h, p[LEAD] > 0.0 ? slope(&c) : 0.0, torque, h);
+        begin(&s, p, (after - before) / h, p[LEAD] > 0.0 ? slope(&c) : 0.0, bias, h);
         solve(&s, p, m, m * s.v - h * torque, h, &links, &motor);
         finish(&s, links, motor, 0.5 * p[PLAY], h);
         before = after;
@@ -323,7 +333,11 @@ void simulate_arm(const long *parent, const long *slides, const double *placemen
     before[i] = integral(commands + i, time[0] - p[DELAY]);
     position[i] = start[i];
     zero[i] = 0.0;
+    q[i] = start[i] - p[OFFSET];
   }
+  place(&arm, q, links);
+  newton_euler(&arm, zero, zero, links, bias);
+  for (long i = 0; i < joints; i++) state[i].gap = flank(drives + i * PARAMETERS, bias[i]);
   for (long n = 0; n + 1 < samples; n++) {
     double h = (time[n + 1] - time[n]) / substeps;
     for (long k = 0; k < substeps; k++) {

@@ -99,6 +99,7 @@ def test_the_files(folder: Path, results: Path) -> None:
         (["--estimator", "auto"], "--estimator: not with --drive servo"),
         (["--decimate", "2"], "--decimate: not with --drive servo"),
         (["--loaded", "FILE"], "--loaded and --mass: got one of them; expected both"),
+        (["--known", "gain"], "--known: expected NAME=VALUE, as in gain=20, got 'gain'"),
         (["--centre", "1,2"], "--centre: expected X,Y,Z in m, as in 0,0,0.05, got '1,2'"),
     ],
 )
@@ -151,3 +152,14 @@ def test_a_payload_of_known_mass(folder: Path) -> None:
     gains = {row["joint"]: row for row in document["parameters"] if row["parameter"] == "gain"}
     for joint, drive in zip(("shoulder", "elbow"), DRIVES, strict=True):
         assert gains[joint]["value"] == pytest.approx(drive.gain, rel=0.05)
+
+
+def test_a_robot_file_states_known_gains(tmp_path: Path) -> None:
+    """One value, or one per joint."""
+    path = tmp_path / "legs.toml"
+    joints = 2 * "[[joint]]\nkind = 'R'\na = 0.1\n"
+    path.write_text("[drive]\ngain = 20\ndamping = [1.5, 2.0]\n" + joints)
+    assert jc.load_robot(path).drive == {"gain": 20.0, "damping": (1.5, 2.0)}
+    path.write_text("[drive]\ndamping = [1.5]\n" + joints)
+    with pytest.raises(jc.RobotError, match=r"\[drive\], damping: expected 2 finite numbers"):
+        jc.load_robot(path)

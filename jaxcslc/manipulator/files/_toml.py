@@ -29,7 +29,8 @@ from .._manipulator import Manipulator, Source
 
 _ROUNDING = 1e-12  # by which a link's values may miss what it lists as zero or equal [SI units]
 _ROBOT_KEYS = {
-    *("name", "about", "gravity", "friction", "coupled", "lengths", "links", "joint", "numbering")
+    *("name", "about", "gravity", "friction", "coupled", "lengths", "links", "joint", "numbering"),
+    "drive",
 }
 _DEFAULT_KEYS = {"inertia", "motor_inertia"}
 _JOINT_KEYS = {
@@ -151,7 +152,20 @@ def _robot(document: Mapping[str, Any], where: str) -> Manipulator:
         dry=_friction(entries, "dry", robot.friction_terms, where),
         static_slopes=_static_slopes(entries, robot, where),
         numbering=_numbering(document["numbering"], where) if "numbering" in document else None,
+        drive=_drive(document["drive"], len(joints), where) if "drive" in document else None,
     )
+
+
+def _drive(value: Any, joints: int, where: str) -> dict[str, float | tuple[float, ...]]:
+    """Return known parameters of servos: one number each, or one per joint."""
+    at = f"{where}, [drive]"
+    found: dict[str, float | tuple[float, ...]] = {}
+    for name, entry in _table(value, at).items():
+        if isinstance(entry, list):
+            found[name] = tuple(map(float, _array(entry, (joints,), f"{at}, {name}")))
+        else:
+            found[name] = _number(entry, f"{at}, {name}")
+    return found
 
 
 def _inertia(link: Mapping[str, Any], defaults: Mapping[str, Any], at: str) -> LinkInertia:

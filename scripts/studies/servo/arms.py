@@ -21,7 +21,10 @@ from jaxcslc.servo import ServoRecording
 TICK = 2.0 * np.pi / 4096
 STEP = 0.0005  # s
 RATE = 50.0  # Hz
+AT_REST = 1.0  # s
 _STIFF = f"{2.0 * STEP} 1"  # of constraints: as stiff as the step allows
+# Likewise: with MuJoCo's default of 0.9, joints that friction holds creep by 0.3 mrad/s.
+_HARD = "0.999 0.9999 0.001"
 _MOTOR, _MOMENTS = 1e-6, "1e-6 1e-6 1e-6"  # kg, kg m²: least of a body that only turns
 
 # Axis, place on the link before [m], mass [kg], centre [m], moments of inertia [kg m²].
@@ -111,7 +114,8 @@ def arm_xml(
         if servos is not None:
             opened += (
                 f'<body pos="{place}"><joint name="motor{i}" {joint} damping="{servos.damping[i]}"'
-                f' armature="{servos.armature[i]}" frictionloss="1" solreffriction="{_STIFF}"/>'
+                f' armature="{servos.armature[i]}" frictionloss="1" solreffriction="{_STIFF}"'
+                f' solimpfriction="{_HARD}"/>'
             )
             closed += "</body>"
             half = 0.5 * servos.play[i]
@@ -121,6 +125,7 @@ def arm_xml(
             opened += f'<inertial mass="{_MOTOR}" pos="0 0 0" diaginertia="{_MOMENTS}"/>'
             place = "0 0 0"
             joint += f' limited="true" range="{-half} {half}" solreflimit="{_STIFF}"'
+            joint += f' solimplimit="{_HARD}"'
         opened += f'<body pos="{place}"><joint name="joint{i}" {joint}/>{body}'
         closed += "</body>"
     return (
@@ -144,7 +149,9 @@ def recorded(
     payload: float = 0.0,
     tick: float = TICK,
 ) -> ServoRecording:
-    """Move an arm by commands at 50 Hz from the first one on, and return what its encoders read.
+    """Move an arm by commands at 50 Hz, and return what its encoders read.
+
+    The servos hold the first command for `AT_REST` before the recording begins.
 
     - `tick`: resolution of the encoders; 0 for exact readings.
     """
@@ -158,8 +165,11 @@ def recorded(
     late = np.round(servos.delay / STEP).astype(int)
     per_sample = round(1.0 / RATE / STEP)
     columns = np.arange(joints)
-    readings = [command[0]]
-    for n in range(per_sample * (len(command) - 1)):
+    readings: list[np.ndarray] = []
+    for n in range(-round(AT_REST / STEP), per_sample * (len(command) - 1) + 1):
+        if n >= 0 and n % per_sample == 0:
+            angle = data.qpos[motors] + (data.qpos[gears] if has_play else 0.0)
+            readings.append(angle + servos.offset)
         sent = command[np.maximum(n - late, 0) // per_sample, columns]
         angle = data.qpos[motors] + (data.qpos[gears] if has_play else 0.0)
         error = sent - angle - servos.offset
@@ -172,9 +182,6 @@ def recorded(
         )
         data.qfrc_applied[motors] = servos.gain * acting
         mujoco.mj_step(model, data)
-        if (n + 1) % per_sample == 0:
-            angle = data.qpos[motors] + (data.qpos[gears] if has_play else 0.0)
-            readings.append(angle + servos.offset)
     time = np.arange(len(command)) / RATE
     position = np.array(readings)
     return ServoRecording(time, tick * np.round(position / tick) if tick else position, command)

@@ -14,6 +14,9 @@ large, which the fit does not know. The fit is judged by
 - **position**: root mean square of the error of a simulation, open loop, of a new motion (point to
   point with pauses, without payload), over that of the true arm, which is the encoder's rounding.
 
+`--legs` identifies the legs of a quadruped in the air (`legs.py`) with known gains, held by a stand
+and swinging on a rope. The second must be named.
+
 `--cases` simulates ten recordings that confound parameters (`cases.py`), and checks that each is
 named with a remedy.
 
@@ -34,6 +37,7 @@ from jaxcslc.manipulator import LinkParameters
 from jaxcslc.servo import ESTIMATED, ServoFit, identify_servo
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.servo import legs
 from scripts.studies.servo.arms import (
     LINKS,
     Servos,
@@ -47,6 +51,8 @@ from scripts.studies.servo.cases import CASES
 
 NAMES = (*ESTIMATED, "dead_zone", "play")
 JUDGED = ("gain", "damping", "delay", "offset", "armature", "coulomb")
+LEG_PARAMETERS = ("armature", "coulomb", "viscous")
+LEGS_DURATION = 20.0  # s
 MASSES = 1.1  # of the file, over the true ones
 PAYLOAD = 0.2  # kg
 # An arm of five joints, 60 s without and 60 s with payload: seconds on two cores.
@@ -125,6 +131,37 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
     )
 
 
+def leg_rows(options: argparse.Namespace) -> int:
+    """Print, per seed, how many intervals hold of legs on a stand, and whether a rope is named."""
+    robot = legs.robot()
+    held = {name: [0, 0] for name in LEG_PARAMETERS}
+    wrong = 0
+    for seed in command.progress(command.seeds_of(options), desc="legs", unit="seed"):
+        rng = np.random.default_rng(seed)
+        drives = legs.Drives.drawn(rng)
+        motion = legs.command_of(LEGS_DURATION, rng)
+        for base in legs.BASES:
+            fit = identify_servo(
+                robot,
+                legs.recorded(drives, motion, base),
+                known={"gain": legs.GAIN, "damping": legs.DAMPING},
+                estimated=("delay", "offset", *LEG_PARAMETERS),
+            )
+            named = any(note.startswith("The base moves") for note in fit.notes)
+            wrong += named != (base == "rope")
+            tqdm.write(f"{base} {seed}: {'base named' if named else 'base still'}", sys.stderr)
+            if base == "rope":
+                continue
+            for name, counts in held.items():
+                for joint, true in enumerate(getattr(drives, name)):
+                    estimate = fit.parameter(joint, name)
+                    counts[0] += estimate.low <= true <= estimate.high
+                    counts[1] += 1
+    print(text_table(["parameter", "held"], [[x, f"{a}/{b}"] for x, (a, b) in held.items()]))
+    print(f"bases misjudged: {wrong} of {2 * options.seeds}")
+    return wrong
+
+
 def cases() -> int:
     """Print for each confounded case what the fit named; return the number that it missed."""
     lines: list[list[str]] = []
@@ -141,6 +178,8 @@ def study(options: argparse.Namespace) -> int:
     """Make what is missing and print the tables."""
     if options.cases:
         return min(cases(), 1)
+    if options.legs:
+        return min(leg_rows(options), 1)
     code = [Path(__file__), Path(__file__).with_name("arms.py")]
     digest = made_of({"duration": options.duration}, code)
     rows = Rows(options.output / "rows.jsonl", ("arm", "seed"), digest)
@@ -160,16 +199,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command.add_seeds(parser, 20)
     parser.add_argument("--arms", nargs="+", default=list(LINKS), help="of " + " ".join(LINKS))
     parser.add_argument("--duration", type=float, default=60.0, help="of a recording [s]")
+    parser.add_argument("--legs", action="store_true", help="legs in the air instead")
     parser.add_argument("--cases", action="store_true", help="the confounded cases instead")
     options = command.parse(parser, arguments, seeds=1, arms=["so101"], duration=20.0)
     command.require_least(parser, options, seeds=1, duration=5.0)
     command.require_some_of(parser, "arm", options.arms, tuple(LINKS))
     seconds = sum(SECONDS[x] * options.seeds * options.duration / 60.0 for x in options.arms)
+    if options.cases or options.legs:
+        seconds = 60.0 if options.cases else 40.0 * options.seeds
     return command.run(
-        parser,
-        lambda: study(options),
-        options.output / "rows.jsonl",
-        seconds=40.0 if options.cases else seconds,
+        parser, lambda: study(options), options.output / "rows.jsonl", seconds=seconds
     )
 
 

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jaxcslc.servo import identify_servo
+from scripts.studies.servo import legs
 from scripts.studies.servo.arms import LINKS, TICK, Servos, new_command, recorded, robot
 from scripts.studies.servo.cases import CASES, LEVEL, UPRIGHT
 from scripts.studies.servo.study import main
@@ -40,6 +42,22 @@ def test_robots_have_the_masses_of_the_links(name: str) -> None:
     links = robot(LINKS[name], 1.1).links
     assert links is not None
     assert [float(x.mass) for x in links] == pytest.approx([1.1 * x[2] for x in LINKS[name]])
+
+
+@pytest.mark.parametrize(("base", "named"), [("stand", False), ("rope", True)])
+def test_a_base_that_moves_is_named(base: str, named: bool) -> None:
+    """Legs in the air with known gains; on a stand their parameters are found."""
+    rng = np.random.default_rng(5)
+    drives = legs.Drives.drawn(rng)
+    recording = legs.recorded(drives, legs.command_of(6.0, rng), base)
+    known = {"gain": legs.GAIN, "damping": legs.DAMPING}
+    names = ("delay", "offset", "armature", "coulomb", "viscous")
+    fit = identify_servo(legs.robot(), recording, known=known, estimated=names)
+    assert any(note.startswith("The base moves") for note in fit.notes) == named
+    if not named:
+        for i, drive in enumerate(fit.drives):
+            assert drive.armature == pytest.approx(drives.armature[i], abs=0.0015)
+            assert drive.coulomb == pytest.approx(drives.coulomb[i], rel=0.05)
 
 
 def test_a_case_is_named() -> None:
