@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from .._bounded_search import bounded_minima
 from ..derivation import Coefficient
@@ -29,7 +29,7 @@ from ..network import (
     Rows,
 )
 from ..recordings import Patterns
-from ..uncertainty import RelativeError, fold_numbers
+from ..uncertainty import RelativeError, fold_numbers, unlike_halves
 
 
 @jax.jit
@@ -281,6 +281,8 @@ class PreSlidingFit(eqx.Module):
     - `relative`: by joint, counted from 1: held-out error with a pre-sliding state over that
       without.
     - `tried_distance`: (n,) [rad or m] that `relative` is of; 0 where no length fitted better.
+    - `elsewhere`: as `relative`, of motion unlike what was fitted: slow or fast, near or far from
+      the mean position, whichever is predicted worse. Files do not hold it.
     """
 
     network: CSLC
@@ -288,6 +290,7 @@ class PreSlidingFit(eqx.Module):
     presliding_distance: Float[np.ndarray, " joints"]
     relative: dict[int, RelativeError]
     tried_distance: Float[np.ndarray, " joints"]
+    elsewhere: dict[int, RelativeError] = eqx.field(default_factory=dict)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -329,9 +332,9 @@ def fit_pre_sliding(
 
     Dry friction counts by its state along the motion. For distances that are known torque is linear
     in the coefficients; distances are searched for by the sum of each joint's squared residuals: a
-    grid, then Brent's method. A joint keeps its length where stretches that were left
-    out of the fit are predicted better by 1 % and by more than chance explains (Student's t,
-    one-sided).
+    grid, then Brent's method. A joint keeps its length where held-out stretches are predicted
+    better by 1 % and by more than chance explains (Student's t, one-sided), and motion unlike what
+    was fitted no worse (slow by fast and the other way round, positions near the middle and far).
 
     **Arguments**
 
@@ -394,14 +397,23 @@ def fit_pre_sliding(
     presliding_distance[moving] = np.exp(
         bounded_minima(moved, middle - width, middle + width, tolerance)
     )
-    relative = _held_out(network, patterns, solver, presliding_distance, joints, mask)
+    relative, *halves = (
+        _held_out(network, patterns, solver, presliding_distance, joints, mask, fold)
+        for fold in (fold_numbers(patterns.samples), *unlike_halves(patterns, mask))
+    )
+    elsewhere = {
+        joint: max((half[joint] for half in halves), key=lambda some: some.change)
+        for joint in relative
+    }
     kept = [
-        relative[j + 1].beyond_chance(chance) if j + 1 in relative else False
-        for j in range(len(dry))
+        joint in relative
+        and relative[joint].beyond_chance(chance)
+        and elsewhere[joint].change <= 0.0
+        for joint in range(1, len(dry) + 1)
     ]
     supported = np.where(kept, presliding_distance, 0.0)
     fit = solver.fit(with_state(network, q, supported)[0], patterns)
-    return PreSlidingFit(network, fit, supported, relative, presliding_distance)
+    return PreSlidingFit(network, fit, supported, relative, presliding_distance, elsewhere)
 
 
 def _held_out(
@@ -411,9 +423,9 @@ def _held_out(
     presliding_distance: Float[np.ndarray, " joints"],
     joints: tuple[int, ...],
     judged: Bool[np.ndarray, "samples joints"],
+    fold: Int[np.ndarray, " samples"],
 ) -> dict[int, RelativeError]:
-    """Errors of stretches under fits to the others, with distances over those without."""
-    fold = fold_numbers(patterns.samples)
+    """Errors of folds under fits to the others, with distances over those without."""
     yielding, _ = with_state(network, np.asarray(patterns.q), presliding_distance)
     after, before = (solver.held_out_errors(x, patterns, fold) for x in (yielding, network))
     return {

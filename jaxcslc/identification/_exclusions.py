@@ -190,7 +190,6 @@ EXCLUSIONS = (
             ("distances", "its distances are given"),
             ("prior", "coefficients are known beforehand"),
             ("prior of the likelihood", "coefficients are known beforehand"),
-            (LOAD_FRICTION, "friction follows the load"),
             ("not dry friction", "no joint has friction of kind 'dry'"),
         )
     ),

@@ -26,7 +26,7 @@ from ..recordings import (
     friction_thresholds,
     static_fractions,
 )
-from ..uncertainty import RelativeError, fold_numbers
+from ..uncertainty import RelativeError, fold_numbers, unlike_halves
 from ._selection import choose_settings
 
 
@@ -68,7 +68,7 @@ class FrictionTrial:
     - `relative`: the joint's held-out error with the term over that without it; of pre-sliding over
       all samples, of other kinds over those at which the joint moves.
     - `elsewhere`: the same on motion that differs from what was fitted: in speed and position, or
-      other recordings, whichever are predicted worse; None of pre-sliding.
+      other recordings, whichever are predicted worse.
     - `used`: whether the joint has the term in the end.
     - `possible`: whether the fit kept the term: a slope of static friction may not be determined, a
       coefficient of the load may be none that friction has, no length of pre-sliding may fit
@@ -167,6 +167,7 @@ class FrictionChoice:
                 used=bool(fit.presliding_distance[joint - 1] > 0.0),
                 possible=joint in fit.relative,
                 length=float(fit.tried_distance[joint - 1]),
+                elsewhere=fit.elsewhere.get(joint),
                 length_unit="m" if units[joint - 1] == "N" else "rad",
             )
             for joint, kinds in enumerate(self.network.friction_per_joint, start=1)
@@ -416,7 +417,7 @@ class _Judge:
             networks = [network] * len(listed)
         first = listed[0]
         stretches = fold_numbers(first.samples)
-        halves = _halves(first, moving[0])
+        halves = unlike_halves(first, moving[0])
         columns = columns_of(networks[0], first)
         stretches_errors, *halves_errors = (
             solver.held_out_errors(networks[0], first, fold, columns)
@@ -464,23 +465,6 @@ def _joined(
     fold = np.concatenate([some + start for some, start in zip(folds, starts, strict=True)])
     order = np.argsort(fold, kind="stable")
     return _Part(np.concatenate(errors)[order], np.concatenate(masks)[order], fold[order])
-
-
-def _halves(
-    patterns: Patterns, moving: Bool[np.ndarray, "samples joints"]
-) -> tuple[Int[np.ndarray, " samples"], Int[np.ndarray, " samples"]]:
-    """Return two divisions into halves: slow and fast motion, positions near the middle and far.
-
-    Speeds and distances are those of all joints together, in parts of each joint's RMS.
-    """
-    divided: list[np.ndarray] = []
-    for values in (np.asarray(patterns.qd), np.asarray(patterns.q)):
-        about = values - (np.mean(values, axis=0) if divided else 0.0)
-        size = np.sqrt(np.mean(about**2, axis=0))
-        squares = np.sum((about / np.where(size > 0.0, size, 1.0)) ** 2, axis=1)
-        some = np.any(moving, axis=1)
-        divided.append((squares > np.median(squares[some] if some.any() else squares)).astype(int))
-    return divided[0], divided[1]
 
 
 def _indices(network: CSLC, kind: str) -> dict[int, int]:

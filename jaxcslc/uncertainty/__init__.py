@@ -20,6 +20,7 @@ from ._held_out import (
     held_out_error as held_out_error,
     held_out_from as held_out_from,
     judged_errors as judged_errors,
+    unlike_halves as unlike_halves,
 )
 from ._several import (
     DRIFT as DRIFT,

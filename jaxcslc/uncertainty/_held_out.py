@@ -214,6 +214,26 @@ def fold_numbers(samples: int, folds: int = FOLDS) -> Int[np.ndarray, " samples"
     return np.arange(samples) * folds // samples
 
 
+def unlike_halves(
+    patterns: Patterns, moving: Bool[np.ndarray, "samples joints"]
+) -> tuple[Int[np.ndarray, " samples"], Int[np.ndarray, " samples"]]:
+    """Return two divisions into halves: slow and fast motion, positions near the middle and far.
+
+    Fits to one half show what they say of motion unlike their own. Speeds and distances are those
+    of all joints together, in parts of each joint's RMS.
+
+    - `moving`: pairs of which the halves are alike in number.
+    """
+    divided: list[np.ndarray] = []
+    for values in (np.asarray(patterns.qd), np.asarray(patterns.q)):
+        about = values - (np.mean(values, axis=0) if divided else 0.0)
+        size = np.sqrt(np.mean(about**2, axis=0))
+        squares = np.sum((about / np.where(size > 0.0, size, 1.0)) ** 2, axis=1)
+        some = np.any(moving, axis=1)
+        divided.append((squares > np.median(squares[some] if some.any() else squares)).astype(int))
+    return divided[0], divided[1]
+
+
 def judged_errors(
     training: np.ndarray,
     training_mask: np.ndarray,
@@ -297,13 +317,13 @@ class RelativeError:
         """Compare the errors of one joint, with the folds as parts.
 
         - `errors`, `reference`: those compared, and what counts: `mask`; (samples, n).
-        - `fold`: the fold of each sample, numbered from 0 in order.
+        - `fold`: the fold of each sample, numbered from 0.
         - `joint`: counted from 1.
         """
         column = slice(joint - 1, joint)
         return cls.of(
             *(
-                [values[fold == number, column] for number in range(int(fold[-1]) + 1)]
+                [values[fold == number, column] for number in range(int(np.max(fold)) + 1)]
                 for values in (errors, reference, mask)
             )
         )

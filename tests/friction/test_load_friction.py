@@ -1,5 +1,6 @@
 """Friction that grows with the load, identified: fit, standard errors, choice, report, refusals."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +9,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.friction import fit_load
-from jaxcslc.selection import choose_friction
+from jaxcslc.friction import contact_states, fit_load, fit_pre_sliding
+from jaxcslc.identification import ESTIMATORS
+from jaxcslc.identification._exclusions import Request, excluded
+from jaxcslc.selection import PRE_SLIDING, choose_friction
 
 
 ARM = jc.examples.planar_arm()
@@ -47,6 +50,26 @@ def patterns(network: jc.CSLC, k: np.ndarray, noise: float, seed: int = 0) -> jc
     torque = torque + noise * np.random.default_rng(seed).normal(size=torque.shape)
     everything = np.ones(torque.shape, bool)
     return jc.Patterns(TIME[:, 0], *motion(), torque, everything, everything)
+
+
+def test_friction_that_yields_beside_friction_of_the_load() -> None:
+    """Both in one model: each has its own coefficient, and states their lengths."""
+    network, k = truth("viscous", "dry", "load")
+    exact = patterns(network, k, 0.01)
+    lengths = np.array([0.04, 0.02])
+    states = np.asarray(contact_states(exact.q, lengths, np.zeros(2)))
+    dry = k[[network.names.index(f"kd{joint}") for joint in (1, 2)]]
+    torque = np.asarray(exact.torque) + dry * (states - np.sign(np.asarray(exact.qd)))
+    result = fit_pre_sliding(network, dataclasses.replace(exact, torque=torque))
+    assert_allclose(result.presliding_distance, lengths, rtol=0.1)
+    assert_allclose(result.fit.k, k, atol=0.02)
+    assert all(error.change < np.log(0.9) for error in result.elsewhere.values())
+    request = Request(
+        network.with_load(None),
+        {"": jc.Recording(exact.time, exact.q, torque)},
+        supports=ESTIMATORS["least-squares"].supports,
+    )
+    assert excluded(request, PRE_SLIDING) is None
 
 
 def test_static_friction_that_the_motion_does_not_show_is_dropped() -> None:
