@@ -16,12 +16,14 @@ Modules, in reading order:
 - `_intervals`: covariance of all unknowns, and intervals of the parameters.
 - `_identifiability`: what recordings cannot tell apart, and what would.
 - `_base`: whether the base moved.
+- `_current`: currents as readings of the torque.
 - `_fit`: `identify_servo` and its result.
 - `_mjcf`: MuJoCo models of an arm of servos, and replay of commands in them.
 - `_feedforward`: commands for a wanted motion, in C.
 - `_results`: a report on it: text, JSON, a page, and files for simulators.
 """
 
+from ._current import CurrentGain as CurrentGain
 from ._drive import (
     DRIVE_UNITS as DRIVE_UNITS,
     TORQUES as TORQUES,
@@ -61,6 +63,7 @@ __all__ = [
     "MASS_ERROR",
     "TORQUES",
     "ConfoundedParameters",
+    "CurrentGain",
     "ServoDrive",
     "ServoFit",
     "ServoParameter",

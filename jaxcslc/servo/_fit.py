@@ -25,6 +25,7 @@ from .._display import Progress, steps as progress_steps
 from ..manipulator import LinkParameters, Manipulator
 from ..recordings import encoder_resolution
 from ._base import base_note
+from ._current import CurrentGain, current_gains
 from ._drive import ServoDrive
 from ._identifiability import ALONE, ConfoundedParameters, confounded
 from ._intervals import ServoParameter, Stack, information_per_sample
@@ -91,6 +92,7 @@ class ServoFit:
       are. In the latter case torques are those of the file's masses.
     - `confounded`: parameters that the recordings cannot tell apart.
     - `notes`: sentences about what was decided, as ends of travel that were found.
+    - `currents`: gains of currents over torque, where recordings have currents.
     """
 
     robot: Manipulator
@@ -100,6 +102,7 @@ class ServoFit:
     units: Literal["torque", "gain"]
     confounded: tuple[ConfoundedParameters, ...] = ()
     notes: tuple[str, ...] = ()
+    currents: tuple[CurrentGain, ...] = ()
 
     def parameter(self, joint: int, name: str) -> ServoParameter:
         """Return one estimate.
@@ -612,6 +615,7 @@ class _Search:
             "gain" if ratios_only or all(self.vague_gain) else "torque",
             tuple(confusions),
             tuple(self.notes),
+            current_gains(drives, self.recordings, [_smoothed(x)[1] for x in self.recordings]),
         )
 
     def _take_file_limits(self, rows: Float[np.ndarray, "joints parameters"]) -> None:

@@ -274,7 +274,7 @@ def _expressible(
     """Return drives with other Coulomb friction and damping, for what MuJoCo has not.
 
     Static friction is friction that falls with velocity: a larger Coulomb friction and less damping
-    come near it. All joints try the same part at a time: coupling between joints hardly changes
+    come near it. All joints try the same part at a time: coupling between joints does not change
     which part suits one best.
     """
     largest = np.array([d.static + d.gain * d.dead_zone for d in drives])

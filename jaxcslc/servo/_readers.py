@@ -23,7 +23,7 @@ from ._lerobot import LEROBOT_INFO, lerobot_episodes
 from ._recording import ServoRecording
 
 
-# Beyond two turns, values are hardly radians: they are degrees or ticks of an encoder.
+# Beyond two turns, values are no radians: they are degrees or ticks of an encoder.
 _LARGEST_ANGLE = 4.0 * math.pi
 
 Units = Literal["radians", "degrees", "normalised"]

@@ -192,6 +192,22 @@ class ServoReport:
         ]
 
     @property
+    def currents(self) -> list[str]:
+        """Gains of currents, a sentence per joint."""
+        sentences: list[str] = []
+        for x in self.fit.currents:
+            name = self.joint_names[x.joint]
+            kind = "signed" if x.is_signed else "unsigned"
+            if x.is_reading:
+                sentences.append(
+                    f"{name}: {x.value:.3g} [{x.low:.3g}, {x.high:.3g}] per N m, {kind}; torque"
+                    f" explains {100.0 * x.explained:.0f} % of its variance"
+                )
+            else:
+                sentences.append(f"{name}: {kind}, does not follow the torque")
+        return sentences
+
+    @property
     def headline(self) -> str:
         """The result in a sentence."""
         total = self.error_rows()[-1]
@@ -216,6 +232,9 @@ class ServoReport:
             "confounded": [
                 {**asdict(pair), "joint": self.joint_names[pair.joint]}
                 for pair in self.fit.confounded
+            ],
+            "current_gains": [
+                {**asdict(x), "joint": self.joint_names[x.joint]} for x in self.fit.currents
             ],
             "training": list(self.training),
             "held_out": list(self.held_out),
@@ -256,6 +275,7 @@ class ServoReport:
             lines.append(
                 "only ratios to the gain are determined: torques are those of the file's masses"
             )
+        lines += [f"current, {sentence}" for sentence in self.currents]
         lines += [f"not determined: {sentence}" for sentence in self.undetermined]
         lines += [f"confounded, {sentence}" for sentence in self.confounded]
         lines += [f"MuJoCo: {sentence}" for sentence in self.approximations]
@@ -314,6 +334,7 @@ class ServoReport:
         )
         messages = [Message(f"Not determined: {s}.") for s in self.undetermined]
         messages += [Message(f"Confounded, {sentence}.") for sentence in self.confounded]
+        messages += [Message(f"Current, {sentence}.", "plain") for sentence in self.currents]
         messages += [Message(note, "plain") for note in (*self.fit.notes, *self.notes)]
         sections = [
             Section(

@@ -79,6 +79,35 @@ def test_finds_the_servos_of_mujoco(tmp_path: Path) -> None:
     assert fit.units == "torque"
 
 
+@pytest.mark.parametrize("is_signed", [True, False])
+def test_currents_read_the_torque(tmp_path: Path, is_signed: bool) -> None:
+    """Of MuJoCo's actuators, with a gain of 2.5 per N m and an idle current."""
+    model = mujoco.MjModel.from_xml_string(arm_xml(coulomb=0.12, armature=0.02, step=0.001))
+    data = mujoco.MjData(model)
+    command = commands(3)[:600]
+    data.qpos[:] = command[0]
+    position: list[np.ndarray] = []
+    torque: list[np.ndarray] = []
+    for row in command:
+        data.ctrl[:] = row
+        mujoco.mj_forward(model, data)
+        position.append(data.qpos.copy())
+        torque.append(data.actuator_force.copy())
+        mujoco.mj_step(model, data, 20)
+    current = 2.5 * np.array(torque)
+    current = current if is_signed else 0.1 + np.abs(current)
+    recording = ServoRecording(TIME[:600], rounded(np.array(position)), command, current=current)
+    known = {"gain": 12.0, "damping": 0.8}
+    fit = identify_servo(
+        arm(tmp_path), recording, known=known, estimated=("delay", "armature", "coulomb")
+    )
+    for gain in fit.currents:
+        assert gain.is_signed == is_signed
+        assert gain.is_reading
+        assert gain.value == pytest.approx(2.5, rel=0.1)
+        assert gain.explained > 0.8
+
+
 @pytest.fixture(scope="module")
 def two_loads(tmp_path_factory: pytest.TempPathFactory) -> tuple[jc.Manipulator, ServoFit, float]:
     """A robot whose file has 25 % too much mass, with and without a known payload."""
