@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ._arms import Example
 
 SERVO_ARM = "so101"
-_RATE, _DURATION = 50.0, 30.0  # Hz, s of a recording
+_RATE, _DURATION = 50.0, 20.0  # Hz, s of a recording
 _TICK = 2.0 * np.pi / 4096
 _MASSES = 1.08  # true ones over the file's
 _AT_REST = 50  # samples before a recording, in which the arm settles

@@ -92,7 +92,8 @@ class ServoFit:
       are. In the latter case torques are those of the file's masses.
     - `confounded`: parameters that the recordings cannot tell apart.
     - `notes`: sentences about what was decided, as ends of travel that were found.
-    - `currents`: gains of currents over torque, where recordings have currents.
+    - `currents`: gains of currents over torque, where recordings have currents and determine
+      torques.
     """
 
     robot: Manipulator
@@ -162,9 +163,9 @@ def identify_servo(
 
     The estimate is that of maximum likelihood of output errors: the drives whose simulation, open
     loop from the commands, is nearest to the measured positions. Its errors count what the model
-    leaves unexplained as correlated noise (sandwich estimate over blocks of seconds). Intervals are
-    too narrow for arms whose gears have play, if the scale of the masses is estimated too: fewer
-    than 95 % hold the true value (`scripts/studies/servo`).
+    leaves unexplained as correlated noise (sandwich estimate over blocks of seconds). Intervals of
+    encoder offsets are too narrow for arms whose gears have play: fewer than half hold the true
+    value (`scripts/studies/servo`).
 
     **Arguments**
 
@@ -607,6 +608,8 @@ class _Search:
         moved = base_note(robot, drives, empty, [_smoothed(x) for x in empty]) if empty else None
         if moved is not None:
             self.notes.append(moved)
+        velocities = [_smoothed(x)[1] for x in self.recordings]
+        currents = current_gains(drives, self.recordings, velocities)
         return ServoFit(
             robot,
             drives,
@@ -615,7 +618,7 @@ class _Search:
             "gain" if ratios_only or all(self.vague_gain) else "torque",
             tuple(confusions),
             tuple(self.notes),
-            current_gains(drives, self.recordings, [_smoothed(x)[1] for x in self.recordings]),
+            tuple(x for x in currents if not (ratios_only or self.vague_gain[x.joint])),
         )
 
     def _take_file_limits(self, rows: Float[np.ndarray, "joints parameters"]) -> None:

@@ -328,14 +328,14 @@ def _approximations(
     joints: Sequence[str], drives: Sequence[ServoDrive], has_recordings: bool
 ) -> tuple[str, ...]:
     """Return what MuJoCo has not as the drives have it, and of which joints."""
-    instead = "frictionloss and kv stand for it" if has_recordings else "left out"
+    instead = "frictionloss and kv stand for it" if has_recordings else "omitted"
     kinds: dict[str, Callable[[ServoDrive], bool]] = {
         f"dead zone: {instead}": lambda drive: drive.dead_zone > 0.0,
         f"static friction: {instead}": lambda drive: drive.static > 0.0,
         f"friction by load: {instead}": lambda drive: drive.load_friction > 0.0,
-        "play of the gear: left out": lambda drive: drive.play > 0.0,
-        "the command's derivative: left out": lambda drive: drive.lead * drive.damping > 0.0,
-        "speed limit: left out": lambda drive: math.isfinite(drive.speed_limit),
+        "play of the gear: omitted": lambda drive: drive.play > 0.0,
+        "the command's derivative: omitted": lambda drive: drive.lead * drive.damping > 0.0,
+        "speed limit: omitted": lambda drive: math.isfinite(drive.speed_limit),
     }
     found: list[str] = []
     for sentence, applies in kinds.items():

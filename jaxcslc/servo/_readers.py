@@ -190,7 +190,7 @@ def _sage_columns(folder: Path) -> tuple[dict[str, np.ndarray], list[str]]:
         raise RecordingError(f"{state_file}: no row follows the first command of {control_file}")
     notes = ["currents are the torques column of state_motor.csv: unsigned, in the servo's unit"]
     if not known.all():
-        notes.append(f"{(~known).sum()} rows before the first command are left out")
+        notes.append(f"{(~known).sum()} rows before the first command are not used")
     quantities = {
         "position": state["positions"][known],
         "command": control["positions"][sent][latest[known]],

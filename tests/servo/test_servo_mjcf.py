@@ -168,9 +168,9 @@ def test_what_is_left_out_is_said(arm: jc.Manipulator, tmp_path: Path) -> None:
     drive = ServoDrive(10.0, 1.0, armature=0.02, static=0.05, play=0.01, speed_limit=5.0)
     written = write_servo_mjcf(arm, [drive, drive], tmp_path / "servos.xml")
     assert written.approximations == (
-        "static friction: left out (shoulder, elbow)",
-        "play of the gear: left out (shoulder, elbow)",
-        "speed limit: left out (shoulder, elbow)",
+        "static friction: omitted (shoulder, elbow)",
+        "play of the gear: omitted (shoulder, elbow)",
+        "speed limit: omitted (shoulder, elbow)",
     )
 
 

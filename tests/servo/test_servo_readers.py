@@ -134,7 +134,7 @@ class TestSage:
         np.testing.assert_array_equal(recording.command, COMMAND[:-1])
         np.testing.assert_array_equal(recording.position, POSITION[1:])
         assert recording.joint_names == ("a", "b")
-        assert "1 rows before the first command are left out" in recording.notes
+        assert "1 rows before the first command are not used" in recording.notes
         assert recording.current is not None
 
     def test_joints_are_mapped_to_the_robots(self, tmp_path: Path) -> None:
