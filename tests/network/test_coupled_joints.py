@@ -90,6 +90,32 @@ def test_it_is_fitted_from_motion_of_the_independent_joints(
     np.testing.assert_allclose(np.asarray(fit.k)[friction], k[friction], atol=1e-8)
 
 
+def test_friction_and_springs_of_followers_are_their_leaders(
+    coupled: jc.CSLC, k: Float[np.ndarray, " _"], rng: np.random.Generator
+) -> None:
+    """By virtual work: viscous and spring coefficients times the multiplier's square, Coulomb ones
+    times its size; a follower's spring at rest elsewhere is an offset of the leader."""
+    matrix = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, -0.4], [0.0, -0.8]])
+    zero = np.array([0.0, 0.0, 0.1, -0.1])
+    viscous, dry, spring = rng.uniform(0.1, 1.0, (3, 4))
+    motion = q, qd, _ = rng.uniform(-2, 2, (3, 300, 2))
+    of_joints = viscous * (qd @ matrix.T) + dry * np.sign(qd @ matrix.T)
+    of_joints += spring * (q @ matrix.T + zero)
+    rigid = np.array(k)
+    rigid[coupled.layout.friction] = 0.0
+    torque = np.asarray(coupled.torque(rigid, *motion)) + of_joints @ matrix
+    network = coupled.with_joint_friction([("viscous", "dry", "spring", "offset")] * 2)
+    every = np.ones(torque.shape, bool)
+    patterns = jc.Patterns(0.01 * np.arange(300), *motion, torque, every, every)
+    fit = jc.LeastSquares(errors="independent").fit(network, patterns)
+    value = dict(zip(network.names, np.asarray(fit.k), strict=True))
+    squares, sizes = matrix**2, np.abs(matrix)
+    expected = {"kv": viscous @ squares, "kd": dry @ sizes, "ke": spring @ squares}
+    for letters, values in (expected | {"ko": (spring * zero) @ matrix}).items():
+        found = [value[f"{letters}{joint}"] for joint in (1, 2)]
+        np.testing.assert_allclose(found, values, atol=1e-8)
+
+
 MJCF = """<mujoco><worldbody><body name="a"><joint name="x" axis="0 1 0" ref="20"/>
 <geom size="0.1" pos="0.1 0 0"/><body name="b" pos="0 0 0.2">
 <joint name="y" axis="1 0 0" ref="-35"/><geom size="0.1" pos="0 0.1 0"/></body></body></worldbody>
