@@ -33,6 +33,7 @@ from ._file_prior import (
     FilePrior as FilePrior,
     FileWeight as FileWeight,
     chosen_prior as chosen_prior,
+    correlation_of as correlation_of,
 )
 from ._nearest_bodies import (
     Fitted as Fitted,

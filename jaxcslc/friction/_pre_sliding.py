@@ -4,7 +4,7 @@ A contact yields before it slides; the distance in which it does is fitted joint
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -327,6 +327,7 @@ def fit_pre_sliding(
     solver: LeastSquares | None = None,
     judged: Bool[Array | np.ndarray, "samples joints"] | None = None,
     chance: float = 0.05,
+    informed: Callable[[Any], Any] | None = None,
 ) -> PreSlidingFit:
     """Distances of pre-sliding, joint by joint, with all coefficients.
 
@@ -345,6 +346,8 @@ def fit_pre_sliding(
     - `judged`: (samples, n) pairs that distances are searched for and judged on; those of the fit
       if None. Slow pairs count here at no cost to coefficients that a mask protects from them.
     - `chance`: the part of such gains that is chance.
+    - `informed`: adds what is known of bodies to the fits that lengths are judged by: what half a
+      motion leaves open would hide the gain of a length.
 
     **Returns** a `PreSlidingFit`.
 
@@ -398,7 +401,7 @@ def fit_pre_sliding(
         bounded_minima(moved, middle - width, middle + width, tolerance)
     )
     relative, *halves = (
-        _held_out(network, patterns, solver, presliding_distance, joints, mask, fold)
+        _held_out(network, patterns, solver, presliding_distance, joints, mask, fold, informed)
         for fold in (fold_numbers(patterns.samples), *unlike_halves(patterns, mask))
     )
     elsewhere = {
@@ -424,15 +427,37 @@ def _held_out(
     joints: tuple[int, ...],
     judged: Bool[np.ndarray, "samples joints"],
     fold: Int[np.ndarray, " samples"],
+    informed: Callable[[Any], Any] | None,
 ) -> dict[int, RelativeError]:
     """Errors of folds under fits to the others, with distances over those without."""
     yielding, _ = with_state(network, np.asarray(patterns.q), presliding_distance)
-    after, before = (solver.held_out_errors(x, patterns, fold) for x in (yielding, network))
+    after, before = (
+        solver.held_out_errors(x, patterns, fold)
+        if informed is None
+        else _informed_errors(x, patterns, solver, fold, informed)
+        for x in (yielding, network)
+    )
     return {
         joint + 1: RelativeError.of_joint(after, before, judged, fold, joint + 1)
         for joint in joints
         if presliding_distance[joint] > 0.0
     }
+
+
+def _informed_errors(
+    network: CSLC,
+    patterns: Patterns,
+    solver: LeastSquares,
+    fold: Int[np.ndarray, " samples"],
+    informed: Callable[[Any], Any],
+) -> Float[np.ndarray, "samples joints"]:
+    """Errors of folds under fits to the others, with what is known of bodies."""
+    errors = np.zeros(np.shape(patterns.torque))
+    for number, fit in enumerate(solver.fits_without_folds(network, patterns, fold)):
+        predicted = torque_of(network, patterns, informed(fit).k)
+        here = fold == number
+        errors[here] = (np.asarray(patterns.torque) - predicted)[here]
+    return errors
 
 
 # Entries of the file, and attributes.

@@ -45,6 +45,7 @@ from ._problem import (
     judged_part,
     prepare,
     select_settings,
+    with_file_bodies,
     with_file_prior,
     with_friction,
     without_lag,
@@ -129,26 +130,24 @@ def choose_friction_terms(request: Request, step: Callable[[str], None]) -> Chos
         kind for kind in FRICTION_CANDIDATES if not unfit or kind not in (LOAD, DIRECTIONAL_LOAD)
     ]
     chosen = select_settings(request, step) if request.settings is None else None
+    tried, not_tried = None, excluded(request, PRE_SLIDING)
+    fits = within_memory(request.network, request.training, request.memory)
+    distance = None
+    if not_tried is None and fits:  # terms beside states make up for none
+        first, _ = _tried_before(request, chosen, step)
+        distance = None if first is None else first.presliding_distance
     terms = choose_friction(
         request.network,
         longest,
         basic_settings(request, chosen),
         candidates=candidates,
         others=[x for name, x in request.training.items() if name != request.longest],
+        presliding_distance=distance,
         progress=step,
     )
     request = dataclasses.replace(request, network=terms.network)
-    tried, not_tried = None, excluded(request, PRE_SLIDING)
     if request.estimator in ("maximum-likelihood", "auto") and not_tried is None:
-        if within_memory(terms.network, request.training, request.memory):
-            settings = basic_settings(request, chosen).for_network(terms.network)
-            patterns = settings.patterns(longest)
-            network = terms.network
-            if "static" in network.robot.friction_terms:
-                network = fit_slopes(network, patterns, solver=settings.solver).network
-            tried, not_tried = _tried(network, patterns, settings.solver, step)
-        else:
-            not_tried = _TOO_LONG
+        tried, not_tried = _tried_before(request, chosen, step) if fits else (None, _TOO_LONG)
     if tried is not None:
         terms = terms.with_pre_sliding(tried)
         if tried.joint_names:
@@ -163,6 +162,19 @@ def choose_friction_terms(request: Request, step: Callable[[str], None]) -> Chos
     if chosen is not None:
         chosen = chosen._replace(motion=None)
     return ChosenFriction(request, chosen, terms, tried, not_tried)
+
+
+def _tried_before(
+    request: Request, chosen: ChosenSettings | None, step: Callable[[str], None]
+) -> tuple[PreSlidingFit | None, str | None]:
+    """Pre-sliding of the longest recording before any fit, or why it could not be tried."""
+    settings = basic_settings(request, chosen).for_network(request.network)
+    network, patterns = request.network, settings.patterns(request.training[request.longest])
+    if network.load_terms:
+        network = network.without_load()
+    if "static" in network.robot.friction_terms:
+        network = fit_slopes(network, patterns, solver=settings.solver).network
+    return _tried(request, network, patterns, settings.solver, step)
 
 
 def friction_results(
@@ -193,7 +205,9 @@ def friction_results(
             not_tried = _TOO_LONG
         if not_tried is None:
             patterns = problem.patterns["training"]
-            tried, not_tried = _tried(judged.fit.network, patterns, problem.solver, problem.step)
+            tried, not_tried = _tried(
+                problem.request, judged.fit.network, patterns, problem.solver, problem.step
+            )
         if tried is None:
             notes = (f"{PRE_SLIDING} was not tried: {not_tried}",) if not_tried else ()
         else:
@@ -206,7 +220,11 @@ def friction_results(
 
 
 def _tried(
-    network: CSLC, patterns: Patterns, solver: LeastSquares, step: Callable[[str], None]
+    request: Request,
+    network: CSLC,
+    patterns: Patterns,
+    solver: LeastSquares,
+    step: Callable[[str], None],
 ) -> tuple[PreSlidingFit | None, str | None]:
     """Pre-sliding, or why it could not be tried.
 
@@ -215,8 +233,13 @@ def _tried(
     step(f"trying friction: {PRE_SLIDING}")
     everything = np.ones(np.shape(patterns.mask), bool)
     try:
+        informed = with_file_bodies(request, solver.fit(network, patterns))
         return fit_pre_sliding(
-            network, patterns, solver=solver, judged=everything, chance=_CHANCE
+            *(network, patterns),
+            solver=solver,
+            judged=everything,
+            chance=_CHANCE,
+            informed=informed,
         ), None
     except (ValueError, RuntimeError) as error:  # too little motion is left in some stretch
         return None, str(error)

@@ -7,7 +7,7 @@ network is not linear in (slopes of static friction, loads). `_identify` names t
 import contextlib
 import dataclasses
 from collections.abc import Callable, Generator, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ from ..bodies import (
     JudgedPart,
     Known,
     chosen_prior,
+    correlation_of,
     with_knowledge,
 )
 from ..friction import LoadFit, SlopeFit, fit_load, fit_slopes
@@ -354,6 +355,19 @@ def with_file_prior(problem: Problem) -> Problem:
     file = chosen_prior(problem.network, patterns, problem.solver, fit)
     warnings = () if file is None else file.weight.warnings
     return dataclasses.replace(problem, file=file, warnings=(*problem.warnings, *warnings))
+
+
+def with_file_bodies(request: Request, fit: Identification) -> Callable[[Any], Any] | None:
+    """Return what adds the bodies of the robot's file to fits of the same coefficients, of all
+    samples or of some (`FoldFit`); None without such bodies.
+
+    - `fit`: of all samples: it shows how correlated errors are.
+    """
+    prior = FilePrior.of(request.network) if request.has_file_prior else None
+    if prior is None:
+        return None
+    of_fit = dataclasses.replace(prior.of_size(len(fit.names)), correlation=correlation_of(fit))
+    return partial(with_knowledge, known={}, rows=of_fit.rows)
 
 
 def select_settings(request: Request, step: Callable[[str], None]) -> ChosenSettings:

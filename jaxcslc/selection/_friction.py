@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..friction import PreSlidingFit, fit_load, fit_slopes, linearised
+from ..friction import PreSlidingFit, along_motion, fit_load, fit_slopes, linearised
 from ..least_squares import Settings, columns_of, torque_of
 from ..manipulator import RobotError
 from ..network import CSLC, DIRECTIONAL_LOAD, LOAD
@@ -216,6 +216,7 @@ def choose_friction(
     candidates: Sequence[str] = FRICTION_CANDIDATES,
     others: Sequence[Recording] = (),
     motion: Derivatives | None = None,
+    presliding_distance: Float[np.ndarray, " joints"] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> FrictionChoice:
     """Friction terms that predict motion better that was not fitted, joint by joint.
@@ -241,6 +242,9 @@ def choose_friction(
       joint's terms are left out.
     - `others`: recordings of the same robot, which terms are judged on too.
     - `motion`: the recording's derivatives by the settings, if they are known already.
+    - `presliding_distance`: (n,) of joints whose dry friction has a state (`fit_pre_sliding`), 0 of
+      others: terms are judged beside it, so that none makes up for it. Such joints get no static
+      friction, which is what friction before sliding is.
     - `progress`: is called with a few words at each trial.
 
     **Returns** a `FrictionChoice`.
@@ -261,14 +265,17 @@ def choose_friction(
     if settings is None:
         progress("choosing settings")
         settings = choose_settings(network, recording).settings
-    judge = _Judge(recording, settings, others, motion)
+    yields = np.zeros(network.joint_count) if presliding_distance is None else presliding_distance
+    judge = _Judge(recording, settings, others, motion, yields)
     trials: list[FrictionTrial] = []
     chance = 0.05 / max(len(candidates), 1)
     for _ in range(_ROUNDS):
         before = judge.held_out(network)
         tried: list[FrictionTrial] = []
         for kind in candidates:
-            for richer, joints in _with(network, kind):
+            static = "static" in _kinds(kind)
+            barred = tuple((np.flatnonzero(yields) + 1).tolist()) if static else ()
+            for richer, joints in _with(network, kind, barred):
                 progress(f"trying friction: {kind}")
                 try:
                     after = judge.held_out(richer)
@@ -295,17 +302,19 @@ def choose_friction(
     return FrictionChoice(network, tuple(trials))
 
 
-def _with(network: CSLC, kind: str) -> Iterator[tuple[CSLC, list[int]]]:
+def _with(network: CSLC, kind: str, barred: Sequence[int] = ()) -> Iterator[tuple[CSLC, list[int]]]:
     """Yield networks with a kind of friction added, and the joints that it was added to, from 1.
 
     It is added at all joints that may have it.
 
     Of directional friction, joint by joint: at all of them, no motion would determine it.
+
+    - `barred`: joints, from 1, that may not have it.
     """
     kinds_of_joints = list(network.friction_per_joint)
     joints: list[int] = []
     for joint, kinds in enumerate(kinds_of_joints, start=1):
-        if {*_kinds(kind)} & {*kinds}:
+        if joint in barred or {*_kinds(kind)} & {*kinds}:
             continue
         richer = _with_kind(kinds, kind)
         try:
@@ -369,12 +378,14 @@ class _Judge:
     """Recordings that terms are judged on: a fitted one, and `others`.
 
     - `motion`: derivatives of the fitted one, where they are known.
+    - `presliding_distance`: (n,) of states of dry friction; 0 where it has the velocity's sign.
     """
 
     recording: Recording
     settings: Settings
     others: Sequence[Recording]
     motion: Derivatives | None
+    presliding_distance: Float[np.ndarray, " joints"]
 
     @cached_property
     def derivatives(self) -> tuple[Derivatives, ...]:
@@ -415,6 +426,11 @@ class _Judge:
             if "static" in network.robot.friction_terms:
                 network = fit_slopes(network, listed[0], solver=solver).network
             networks = [network] * len(listed)
+        if self.presliding_distance.any():
+            networks = [
+                along_motion(some, patterns, self.presliding_distance)
+                for some, patterns in zip(networks, listed, strict=True)
+            ]
         first = listed[0]
         stretches = fold_numbers(first.samples)
         halves = unlike_halves(first, moving[0])

@@ -106,6 +106,16 @@ def test_states_have_the_bodies_of_the_robots_file() -> None:
     assert_allclose(np.asarray(report.pre_sliding.fit.k)[inertial], k[inertial], atol=0.05)
 
 
+def test_terms_that_would_make_up_for_states_are_not_added(report: jc.Report) -> None:
+    """Terms are tried beside the states: one that yields has no static friction too."""
+    assert report.friction is not None and report.pre_sliding is not None
+    tried = {(trial.joint, trial.kind) for trial in report.friction.trials}
+    assert (1, "static") not in tried and (2, "static") in tried
+    assert "ks1" not in report.names
+    elsewhere = report.pre_sliding.elsewhere
+    assert elsewhere[1].change < 0.0 and elsewhere[1].parts == 2
+
+
 def test_torque_with_states_is_nearer(report: jc.Report) -> None:
     assert report.pre_sliding is not None
     motion = report.patterns["training"]

@@ -98,15 +98,15 @@ def test_friction_and_springs_of_followers_are_their_leaders(
     matrix = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, -0.4], [0.0, -0.8]])
     zero = np.array([0.0, 0.0, 0.1, -0.1])
     viscous, dry, spring = rng.uniform(0.1, 1.0, (3, 4))
-    motion = q, qd, _ = rng.uniform(-2, 2, (3, 300, 2))
+    q, qd, qdd = rng.uniform(-2, 2, (3, 300, 2))
     of_joints = viscous * (qd @ matrix.T) + dry * np.sign(qd @ matrix.T)
     of_joints += spring * (q @ matrix.T + zero)
     rigid = np.array(k)
     rigid[coupled.layout.friction] = 0.0
-    torque = np.asarray(coupled.torque(rigid, *motion)) + of_joints @ matrix
+    torque = np.asarray(coupled.torque(rigid, q, qd, qdd)) + of_joints @ matrix
     network = coupled.with_joint_friction([("viscous", "dry", "spring", "offset")] * 2)
     every = np.ones(torque.shape, bool)
-    patterns = jc.Patterns(0.01 * np.arange(300), *motion, torque, every, every)
+    patterns = jc.Patterns(0.01 * np.arange(300), q, qd, qdd, torque, every, every)
     fit = jc.LeastSquares(errors="independent").fit(network, patterns)
     value = dict(zip(network.names, np.asarray(fit.k), strict=True))
     squares, sizes = matrix**2, np.abs(matrix)
