@@ -135,14 +135,18 @@ class Saturated:
     row = "clipping"
 
     def confirmed(self, evidence: Evidence, time: Float[np.ndarray, " samples"]) -> bool:
-        """Return whether the motion takes more torque there, by a fit without these samples."""
+        """Return whether the motion takes more torque there, by a fit without these samples.
+
+        Not by one that leaves much of the torque: something else is wrong.
+        """
         at = np.searchsorted(time - time[0], np.asarray(evidence.patterns.time))
         inside = self.rows[np.minimum(at, len(time) - 1)]
         if not inside.any() or not np.asarray(evidence.patterns.mask)[:, self.joint].any():
             return False
         error, usual = _own_error(evidence, self.joint, 1.0)
         more = float(np.mean(self.sign * error[inside]))
-        return more > max(_MORE * self.width, usual)
+        size = float(np.std(np.asarray(evidence.patterns.torque)[:, self.joint]))
+        return usual < _FITS * size and more > max(_MORE * self.width, usual, _MATTERS * size)
 
 
 _FEWEST = 200  # samples, below which nothing is said
@@ -253,7 +257,9 @@ def _unsigned(recording: Recording) -> Iterator[Unsigned]:
 # and are so many times as many as those in the two bands of the same width below.
 _BAND, _SATURATED, _PILED = 6.0, 0.01, 3.0
 _RANK = 1e-6  # of singular values that count
-_MORE = 0.5  # widths of the noise by which the motion takes more torque than saturated ones
+# Widths of the noise, and the part of the torque, by which the motion takes more torque than
+# saturated ones; and the part of it that a fit to all others leaves at most.
+_MORE, _MATTERS, _FITS = 1.0, 0.02, 0.2
 
 
 def _saturated(recording: Recording, valid: np.ndarray) -> Iterator[Saturated]:

@@ -204,6 +204,10 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
             " arm's",
             "compare the recorder's units, torque constants and gear ratios with the arm",
         ),
+        "model torque": (
+            "a controller or a simulator computed these torques from a model of the arm",
+            "record the motors' currents or measured torques: the fit finds the model, not the arm",
+        ),
         "zero position": (
             "the zero of {joint} is not that of the robot's file: its positions are off by"
             " {offset}",

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..least_squares import columns_of, torque_by
-from ..manipulator import link_poses
+from ..manipulator import Manipulator, link_poses
 from ..network import CSLC
 from ..recordings import Patterns
 from ._evidence import LARGEST_ERROR, SMALLEST_ERROR, TINY, Evidence
@@ -25,6 +25,7 @@ BLOCKS = 20
 """Blocks of time: each shorter than what happens during a recording."""
 _FOLDS = 5  # a fold is every fifth block
 _STEP = 1e-4  # of finite differences [rad or m, or as a part]
+_LEAST_LEFT = 1e-8  # part of a column's squares that others leave, below which it says nothing
 _TOLERANCE = 1e-12  # of eigenvalues of scaled normal equations that count
 
 
@@ -285,6 +286,35 @@ class FirstOrder:
         gram[..., :, -1] *= factors[:, None]
         return dataclasses.replace(self, gram=gram)
 
+    def estimate(self, added: Columns) -> tuple[float, float]:
+        """Return the size of one added column, of all blocks alike, and its standard error.
+
+        The error is that of the blocks' differences, in which what the model lacks counts as
+        noise; infinite for a column that the others make up for.
+        """
+        column = added.maps[0, :, :, 0]
+        own, joints = np.arange(self.unknowns), np.arange(len(column))
+        gram = self.gram * self._weights[:, None, None]
+        whole = gram.sum(axis=0)
+        normal = whole[:, own[:, None], own].sum(axis=0)
+        right = np.stack(
+            [np.einsum("jom,jm->o", whole[:, own], column), whole[:, own, -1].sum(axis=0)], axis=1
+        )
+        scale = np.sqrt(np.maximum(np.diag(normal), TINY))
+        inverse = np.linalg.pinv(normal / np.outer(scale, scale), _TOLERANCE, hermitian=True)
+        of_column, of_torque = (inverse @ (right / scale[:, None]) / scale[:, None]).T
+        left, residual = column.copy(), np.zeros_like(column)
+        left[:, own] -= of_column
+        residual[joints, -1] = 1.0
+        residual[:, own] -= of_torque
+        size = float(np.einsum("jm,jmq,jq->", column, whole, column))
+        information = float(np.einsum("jm,jmq,jq->", left, whole, left))
+        if information <= _LEAST_LEFT * size:
+            return 0.0, np.inf
+        value = float(np.einsum("jm,jmq,jq->", left, whole, residual)) / information
+        scores = np.einsum("jm,bjmq,jq->b", left, gram, residual - value * left)
+        return value, float(np.sqrt(np.sum(scores**2))) / information
+
     def without(self, blocks: Bool[np.ndarray, " blocks"]) -> "FirstOrder":
         """Return the same without some blocks, which are not fitted and not judged."""
         kept = ~blocks
@@ -320,6 +350,27 @@ def _payload_columns(network: CSLC, patterns: Patterns) -> np.ndarray:
     return payload
 
 
+def _with_carried(
+    robot: Manipulator, values: Float[np.ndarray, "*dims links"] | Float[np.ndarray, "_ links 3"]
+) -> np.ndarray:
+    """Add to the values of each link those of all that it carries; links are the second axis of
+    arrays of more than one."""
+    sums = np.array(values)
+    of_links = sums if sums.ndim == 1 else np.swapaxes(sums, 0, 1)
+    for link in reversed(range(len(of_links))):
+        if robot.parents[link] >= 0:
+            of_links[robot.parents[link]] += of_links[link]
+    return sums
+
+
+def carried_masses(network: CSLC) -> Float[np.ndarray, " joints"]:
+    """Return the mass by the robot's file that each joint carries [kg]; 0 where it says none."""
+    robot = network.robot
+    if robot.links is None or network.joint_count != robot.joint_count:
+        return np.zeros(network.joint_count)
+    return _with_carried(robot, np.array([float(link.mass) for link in robot.links]))
+
+
 def gravity_columns(
     network: CSLC, q: Float[np.ndarray, "samples joints"]
 ) -> Float[np.ndarray, "samples joints 3"] | None:
@@ -337,13 +388,7 @@ def gravity_columns(
     mass = np.array([float(link.mass) for link in robot.links])
     first = np.stack([np.asarray(link.first_moment) for link in robot.links])
     moment = mass[:, None] * place + np.einsum("slij,lj->sli", turn, first)
-    # Mass and first moment of each link and of all that it carries.
-    carried, moments = mass.copy(), moment.copy()
-    for link in reversed(range(len(mass))):
-        parent = robot.parents[link]
-        if parent >= 0:
-            carried[parent] += carried[link]
-            moments[:, parent] += moments[:, link]
+    carried, moments = _with_carried(robot, mass), _with_carried(robot, moment)
     axis = turn[..., :, 2]
     lever = moments - carried[:, None] * place
     revolute = np.array([kind == "R" for kind in robot.kinds])[:, None]

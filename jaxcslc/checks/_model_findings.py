@@ -74,6 +74,65 @@ def model_causes(evidence: Evidence) -> list[Cause]:
     return causes
 
 
+# A fault is found by its size alone from this many standard errors on; once it is mended, fewer are
+# left. (Heuristic: what the model lacks is no normal noise.)
+_CLEAR, _GONE = 5.0, 3.0
+
+
+def significant_cause(evidence: Evidence) -> list[Finding]:
+    """Return the clock, the zero or the scale of a torque that is off beyond doubt, at most one.
+
+    Errors beside it may be so large that its remedy takes away little of them. It is named if its
+    size is many standard errors, and if few are left of it once it is mended.
+    """
+    first = FirstOrder.of(evidence)
+    joints = range(evidence.network.joint_count)
+    options = [
+        ("clock", 0, first.group("motion")),
+        *(("zero", joint, first.group("zero", joint)) for joint in joints),
+        *(("scale of torque", joint, first.gains(joint)) for joint in joints),
+    ]
+    least = {"clock": 2.0 * _CLOCK, "zero": _ZERO, "scale of torque": _SCALE}
+    found = [(*first.estimate(columns), kind, which) for kind, which, columns in options]
+    found = [x for x in found if abs(x[0]) > max(least[x[2]], _CLEAR * x[1])]
+    if not found:
+        return []
+    size, error, kind, which = max(found, key=lambda x: abs(x[0]) / max(x[1], TINY))
+    name, factors = evidence.network.output_names[which], np.ones(len(joints))
+    recording, certain = evidence.recording, f"{abs(size) / error:.0f} standard errors"
+    if kind == "clock":
+        # Torque of motion is as the square of the rate; see `_gravity_share`.
+        if size <= -1.0:
+            return []
+        factor = float(np.sqrt(1.0 + size))
+        mended = Recording(recording.time / factor, recording.position, recording.torque)
+        text = f"torques of inertia and gravity go together if time is divided by {factor:.3g}"
+        result = finding("clock", f"{text}; {certain}", factor=f"{factor:.3g}")
+    elif kind == "zero":
+        offsets = np.where(np.arange(len(joints)) == which, size, 0.0)
+        mended = Change(motion_offsets=offsets).recording(recording)
+        revolute = evidence.network.joint_kinds[which] == "R"
+        shown = f"{np.degrees(-size):.3g}°" if revolute else f"{-size:.3g} m"
+        text = f"positions fit the torque best less {shown}; {certain}"
+        result = finding("zero position", text, name, joint=name, offset=shown)
+    else:
+        if size <= -1.0:
+            return []
+        factors[which] = 1.0 + size
+        mended = Change(torque_factors=1.0 / factors).recording(recording)
+        text = f"torque is {1.0 + size:.3g} times what goes with the torques of the others"
+        listed = f"{name} {1.0 + size:.3g}"
+        result = finding("torque scale: of some joints", f"{text}; {certain}", name, listed=listed)
+    again = FirstOrder.of(Evidence.of(evidence.network, mended, evidence.valid))
+    columns = {
+        "clock": lambda: again.group("motion"),
+        "zero": lambda: again.group("zero", which),
+        "scale of torque": lambda: again.gains(which),
+    }[kind]()
+    rest, error = again.estimate(columns)
+    return [result] if abs(rest) < max(0.5 * least[kind], _GONE * error) else []
+
+
 @dataclasses.dataclass(frozen=True)
 class _Trial:
     """A cause that is tried: its columns, and what they are compared with.

@@ -13,13 +13,14 @@ import numpy as np
 from jaxtyping import Float
 
 from .._rank import numerical_rank
-from ..least_squares import HostColumns, LeastSquares, regressor_of, reidentify
+from ..least_squares import HostColumns, LeastSquares, regressor_of, reidentify, torque_by
 from ..network import CSLC
-from ..recordings import Patterns, Preparation, Recording
+from ..recordings import Patterns, Preparation, Recording, noise_level
 from ._causes import ALIKE, LEAST_GAIN, Cause, Change, removes
 from ._evidence import LARGEST_ERROR, SMALLEST_ERROR, TINY, WELL, Evidence, PriorFit
 from ._findings import Finding, finding
-from ._model_findings import file_findings, model_causes
+from ._first_order import carried_masses
+from ._model_findings import file_findings, model_causes, significant_cause
 from ._sample_findings import OTHER_RATE, motionless
 from ._torque_lag import LEAST_LAG, TorqueLag, torque_lag_of
 
@@ -36,6 +37,7 @@ _THOUSAND = (300.0, 3000.0)  # times: torques in mN m or N mm
 _ALONE = 30.0  # times: a joint's torque is in another unit than those of all others
 # What the file's masses must explain of a joint's torque that is gravity's for the most part.
 _FEW, _MOST = 0.2, 0.4
+_CENTRES = 0.02  # [m] by which centres of gravity in files may be off
 # Error beyond noise, as part of the torque, that a right model rarely leaves.
 _UNEXPLAINED, _STILL_UNEXPLAINED = 0.4, 0.1
 # Held-out over training error, in logarithms, from which a recording has too little motion.
@@ -43,6 +45,11 @@ _TAME = 0.35
 # Positions beyond limits by less than these margins are within [part of the range; rad or m], and
 # this part of the samples does not count.
 _MARGIN_OF_SPAN, _MARGIN, _OUTSIDE = 0.02, 0.05, 1e-3
+# Torques beyond the file's limits by less are within: gears and friction have their part.
+_BEYOND_EFFORT = 1.1
+# White noise and friction of measured torques, as parts of them, are larger; friction of as many
+# joints at least.
+_NOISELESS, _FRICTIONLESS, _SEVERAL = 1e-4, 0.05, 3
 _ROUNDS = 3
 
 
@@ -69,10 +76,15 @@ def motion_findings(evidence: Evidence) -> tuple[list[Finding], Evidence, str]:
         # What mends one joint of another robot is chance; a common factor of torques is not.
         findings = [*(found for found in findings if found.kind == "torque unit"), wrong]
     if not findings:
-        findings += file_findings(evidence)
+        of_file = list(file_findings(evidence))
+        another = any(found.kind == "wrong robot" for found in of_file)
+        findings += of_file if another else significant_cause(evidence) or of_file
     # Another clock and another gravity than those of the file's masses are another robot's.
     if not findings:
         findings += _beyond_limits(evidence)
+    if not findings:
+        findings += _computed_torque(evidence)
+    findings += _beyond_effort(evidence)
     tame, excitation = _excitation(evidence)
     return findings + tame, evidence, excitation
 
@@ -322,10 +334,14 @@ def _mismatched(evidence: Evidence, prior: PriorFit) -> np.ndarray:
     recorded = np.std(evidence.gravity, axis=0) / size
     common = abs(prior.common_factor)
     expected = prior.size * (common if np.isfinite(common) else 1.0)
+    # Torque of a joint that carries little is that of the centres' errors.
+    gravity = float(np.linalg.norm(np.asarray(evidence.network.robot.gravity, float)))
+    little = _CENTRES * gravity * carried_masses(evidence.network)
     return np.flatnonzero(
         (np.minimum(np.maximum(recorded, expected), 1.5) > _MOST)
         & (prior.explained < _FEW)
         & (np.ptp(torque, axis=0) > 0.0)
+        & (size > little)
     )
 
 
@@ -369,6 +385,48 @@ def _beyond_limits(evidence: Evidence) -> list[Finding]:
                 f" and {limits.high:.3g}"
             )
     return [finding("limits", "; ".join(texts.values()), ", ".join(texts))] if texts else []
+
+
+def _beyond_effort(evidence: Evidence) -> list[Finding]:
+    """Find torques that the file says the joints do not have."""
+    network, recording = evidence.network, evidence.recording
+    tops = np.quantile(np.abs(recording.torque), 1.0 - _OUTSIDE, axis=0)
+    beyond = {
+        name: f"{name} has torques up to {top:.3g}, and its limit is {limits.torque:.3g}"
+        for name, limits, top in zip(
+            network.output_names, network.joint_limits, tops.tolist(), strict=True
+        )
+        if 0.0 < limits.torque < top / _BEYOND_EFFORT
+    }
+    if not beyond:
+        return []
+    return [finding("torque limit", "; ".join(beyond.values()), ", ".join(beyond))]
+
+
+def _computed_torque(evidence: Evidence) -> list[Finding]:
+    """Find torques without noise and without friction, as a controller computes them."""
+    network, recording = evidence.network, evidence.recording
+    kinds = network.friction_per_joint
+    size = np.sqrt(np.mean(recording.torque**2, axis=0))
+    moved = np.flatnonzero((size > 0.0) & np.array([bool(kind) for kind in kinds]))
+    if moved.size < _SEVERAL or np.any(
+        noise_level(recording.torque)[moved] > _NOISELESS * size[moved]
+    ):
+        return []
+    friction = np.zeros(network.size)
+    friction[network.layout.friction] = np.asarray(evidence.fit.k)[network.layout.friction]
+    torque = torque_by(network.support, evidence.columns(evidence.patterns), friction)
+    part = np.sqrt(np.mean(torque**2, axis=0))[moved] / size[moved]
+    # Friction that the motion of a joint with little torque hardly shows is any.
+    usual = float(np.median(part))
+    if usual > _FRICTIONLESS:
+        return []
+    return [
+        finding(
+            "model torque",
+            f"the torque has no noise, and friction is {100 * usual:.2g} % of it",
+        )
+    ]
 
 
 def _excitation(evidence: Evidence) -> tuple[list[Finding], str]:

@@ -25,6 +25,7 @@ from ..uncertainty import (
 from ._estimator import AbstractEstimator, Fit, Judged, held_out_of
 from ._exclusions import BODIES, LOAD_FRICTION, OFFSETS, PREVIOUS, SEVERAL
 from ._problem import Problem
+from ._tolerances import with_possible_faults
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,6 +91,10 @@ class Regression(AbstractEstimator):
             identification, vectors = bodies.fit, bodies.other_coefficients
         if network.load_terms and previous is None:
             network = network.with_load(np.asarray(identification.k))
+        file = None if problem.file is None else problem.file.of_fit(fit.identification)
+        systematic = with_possible_faults(
+            problem, network, identification, systematic, fit.identification, file
+        )
         fit = dataclasses.replace(fit, network=network, identification=identification)
         problem.step("computing errors")
         if problem.validation is not None:

@@ -53,6 +53,7 @@ from ._estimator import AbstractEstimator, Begin, Fit, Judged, held_out_of
 from ._exclusions import BODIES, LIKELIHOOD, SEVERAL, Request
 from ._least_squares import Regression, with_states
 from ._problem import Problem, joined, without_lag
+from ._tolerances import with_possible_faults
 
 
 _SOURCE: Source = "held-out stretch"
@@ -595,7 +596,10 @@ def _systematic(
     file = _file_prior(problem, likelihood.fit)
     part = np.ones(len(fit.names)) if file is None else 1.0 - file.weight.share
     error = SystematicError({cause: part * shift for cause, shift in error.parts.items()})
-    return error.without(np.flatnonzero(np.asarray(fit.standard_error) == 0.0).tolist())
+    network = likelihood.network
+    error = with_possible_faults(problem, network, fit, error, likelihood.fit, file)
+    fixed = np.flatnonzero(np.asarray(fit.standard_error) == 0.0).tolist()
+    return None if error is None else error.without(fixed)
 
 
 def _slopes(likelihood: LikelihoodFit) -> SlopeFit | None:

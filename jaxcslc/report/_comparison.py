@@ -10,6 +10,7 @@ import scipy
 
 from .._scratch import all_together
 from .._text_table import text_table
+from ..uncertainty import TOLERATED, standard_uncertainty
 from ._page import Column, Message, Page, Section, Table, Tone, render
 from ._report import Report, read_report
 
@@ -34,7 +35,8 @@ class ReportComparison:
     - `first`, `second`: the two reports.
     - `rows`: one a coefficient of either: `name`, `unit`, `first`, `second`, `difference`
       (second less first) and `standard_errors`, the difference over the root of the sum of both
-      variances, systematic errors included. None where only one has the coefficient, where it
+      variances, systematic errors included but for those of faults within tolerances
+      (`possible_faults`), which both share. None where only one has the coefficient, where it
       stands for another combination of link parameters, or where one is not determined or was
       not fitted; `note` says which.
 
@@ -149,7 +151,10 @@ def _values(report: Report, path: str | Path) -> dict[str, dict[str, Any]]:
     """Return by coefficient its value, uncertainty, unit and expression."""
     k, determined = np.asarray(report.k), np.asarray(report.fit.determined)
     try:
-        uncertainty = np.where(determined, report.standard_errors, np.inf)
+        systematic = getattr(report, "systematic", None)
+        # Two recordings of an arm share the scale of its torques, its clock and its zeros.
+        own = None if systematic is None else systematic.without_causes(TOLERATED)
+        uncertainty = np.where(determined, standard_uncertainty(report.fit, own), np.inf)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
     return {

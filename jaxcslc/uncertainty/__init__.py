@@ -5,6 +5,7 @@ In: a fit, its patterns and others. Out: figures of how far the coefficients can
 - `_held_out`: errors on data that was not fitted, and what is beyond chance.
 - `_systematic_error`: errors by smoothing, timing and missing terms.
 - `_drift`: how much coefficients differ from recording to recording.
+- `_tolerances`: errors by faults that stay possible: torque scale, clock, zeros of joints.
 - `_several`: joint fit of several recordings, and whether they agree.
 """
 
@@ -37,18 +38,36 @@ from ._systematic_error import (
     systematic_error as systematic_error,
     uncertainty_interval as uncertainty_interval,
 )
+from ._tolerances import (
+    CLOCK as CLOCK,
+    TOLERANCES as TOLERANCES,
+    TOLERATED as TOLERATED,
+    TORQUE_SCALE as TORQUE_SCALE,
+    ZEROS as ZEROS,
+    Estimate as Estimate,
+    PossibleFaults as PossibleFaults,
+    Tolerance as Tolerance,
+    possible_faults as possible_faults,
+    possible_size as possible_size,
+)
 
 
 __all__ = [
+    "TOLERANCES",
     "Drift",
+    "Estimate",
     "HeldOut",
+    "PossibleFaults",
     "RecordingAgreement",
     "RelativeError",
     "SeveralFit",
     "SystematicError",
+    "Tolerance",
     "cross_validated_error",
     "fit_recordings",
     "held_out_error",
+    "possible_faults",
+    "possible_size",
     "standard_uncertainty",
     "systematic_error",
     "uncertainty_interval",

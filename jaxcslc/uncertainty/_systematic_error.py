@@ -5,7 +5,7 @@ terms that the network lacks.
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -109,7 +109,9 @@ class SystematicError:
     **Attributes**
 
     - `parts`: by cause, the size of each coefficient's error, (p,), 0 or more; see
-      `systematic_error`.
+      `systematic_error` and `possible_faults`.
+    - `within`: by cause, how large the fault is at most by 95 %, as text, for faults that stay
+      possible within tolerances.
 
     >>> import numpy as np
     >>> from jaxcslc.uncertainty import SystematicError
@@ -119,6 +121,7 @@ class SystematicError:
     """
 
     parts: Mapping[str, Float[np.ndarray, " coefficients"]]
+    within: Mapping[str, str] = dataclasses.field(default_factory=dict[str, str])
 
     @property
     def total(self) -> Float[np.ndarray, " coefficients"]:
@@ -129,7 +132,18 @@ class SystematicError:
         """Remove the errors of some coefficients, such as fixed ones."""
         free = np.ones(len(self.total), bool)
         free[list(indices)] = False
-        return SystematicError({cause: part * free for cause, part in self.parts.items()})
+        parts = {cause: part * free for cause, part in self.parts.items()}
+        return SystematicError(parts, self.within)
+
+    def without_causes(self, causes: Collection[str]) -> "SystematicError":
+        """Remove causes, such as those that two recordings share."""
+        kept = {cause: part for cause, part in self.parts.items() if cause not in causes}
+        return SystematicError(kept)
+
+    @property
+    def description(self) -> str:
+        """The causes, those within tolerances with their sizes."""
+        return ", ".join(f"{cause} {self.within.get(cause, '')}".strip() for cause in self.parts)
 
     def main_cause(self, index: int) -> str:
         """The cause of the largest part of a coefficient's error."""

@@ -8,9 +8,12 @@ Each case is a program, a copy of a folder in which it has run before, and a fau
 - `read-only`: the folder of its output cannot be written.
 - `other disk`: its output is a link to a folder on another file system, in memory.
 - `two at once`: another process does the same.
+- `two containers`: each in a process namespace of its own, where both have the same number.
 
-Earlier files must be as they were, or the new ones; nothing is left behind, unless by SIGKILL. Then
-the program runs to its end, which must give the same results and leave nothing:
+`notebook` interrupts `jc.identify` in a Jupyter kernel and calls it again; `workers` are those of
+pytest-xdist, which compile into one new cache. Earlier files must be as they were, or the new ones;
+nothing is left behind, unless by SIGKILL, and no process. Then the program runs to its end, which
+must give the same results and leave nothing:
 
     python -m scripts.tools.kills --cases 1000 --jobs 16
 
@@ -43,7 +46,13 @@ from scripts.tools.fuzz.templates import write_servos
 ROOT = Path(__file__).parents[2]
 _OFF = 300.0  # seconds after which a run counts as hanging
 _CODES_AFTER = {"SIGINT": (130, -signal.SIGINT), "SIGTERM": (130, -signal.SIGTERM)}
-_FAULTS = ("SIGKILL", "SIGINT", "SIGTERM", "full disk", "read-only", "other disk", "two at once")
+_FAULTS = (
+    *("SIGKILL", "SIGINT", "SIGTERM", "full disk", "read-only", "other disk", "two at once"),
+    "two containers",
+)
+_SHARES = (3, 3, 3, 3, 1, 1, 1, 1)
+_ENDED = 60.0  # seconds after which processes of an ended program count as left
+_NAMESPACE = ("--pid", "--fork", "--mount-proc", "--kill-child")
 _MEMORY = Path("/dev/shm")  # another file system, where there is one
 
 ROBOT = "gravity = [0, -9.81, 0]\n[[joint]]\n[[joint]]\na = 0.3\n"
@@ -56,7 +65,8 @@ t = 0.01 * np.arange(600)[:, None]
 q, qd, qdd = np.sin([3.0, 5.0] * t), [3.0, 5.0] * np.cos([3.0, 5.0] * t), [0.0, 0.0] * t
 qdd = -np.square([3.0, 5.0]) * q
 torque = np.asarray(network.torque(np.linspace(0.5, 1.5, len(network.names)), q, qd, qdd))
-jc.save_recording(jc.Recording(t[:, 0], q, torque), "log.csv")
+for name in ("log", "other"):
+    jc.save_recording(jc.Recording(t[:, 0], q, torque), f"{name}.csv")
 """
 RECORD = """
 import sys
@@ -87,6 +97,70 @@ def study():
     return 0
 
 sys.exit(command.run(parser, study, rows.path))
+"""
+NOTEBOOK = """
+import random, sys, time
+
+CELLS = [
+    "import jaxcslc as jc; jc.enable_x64()",
+    "network = jc.derive(jc.load_robot('arm.toml'), lengths='numeric')",
+    "recording, settings = jc.load_recording('log.csv'), jc.load_settings('settings.json')",
+]
+IDENTIFY = "jc.identify(network, recording, settings=settings).save('out/notebook')"
+
+try:
+    from jupyter_client.manager import start_new_kernel
+
+    manager, client = start_new_kernel()
+
+    def run(cell, moment=None):
+        client.execute(cell)
+        if moment is not None:
+            time.sleep(moment)
+            manager.interrupt_kernel()
+        return client.get_shell_msg(timeout=200)["content"]
+
+    try:
+        for cell in CELLS:
+            run(cell)
+        run(IDENTIFY, random.uniform(0.0, 4.0))
+        last = run(IDENTIFY)
+    finally:
+        manager.shutdown_kernel(now=True)
+    sys.exit(0 if last["status"] == "ok" else str(last))
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+WORKERS = """
+import os, sys
+from pathlib import Path
+
+try:
+    import pytest
+
+    os.environ["XDG_CACHE_HOME"] = str(Path("out/cache").absolute())
+    options = ["-q", "-n", "3", "-c", os.devnull, "-p", "no:cacheprovider"]
+    code = pytest.main([*options, "--rootdir", ".", "test_fit.py"])
+    sys.exit(130 if code == 2 else code)
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+TESTS = """
+import json
+from pathlib import Path
+
+import pytest
+import jaxcslc as jc
+
+jc.enable_x64()
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_fit(number):
+    network = jc.derive(jc.load_robot("arm.toml"), lengths="numeric")
+    settings = jc.load_settings("settings.json")
+    fit = settings.fit(network, settings.patterns(jc.load_recording("log.csv")))
+    Path(f"out/{number}.json").write_text(json.dumps({"k": fit.k.tolist()}))
 """
 
 
@@ -142,8 +216,13 @@ PROGRAMS = {
     "excite": _command("excite", "arm.toml", *_LIMITED, "-o", "out/motion.csv"),
     "export": _command("export", *_ARM, "-o", "out/arm.toml", "--force"),
     "export-c": _command("export", *_ARM, "--c", "-o", "out/arm.c", "--force"),
+    "fleet": _command(
+        *("identify", "arm.toml", "log.csv", "other.csv", "--settings", "settings.json"),
+        *("--dask", "local", "--fleet", "-o", "out/fleet"),
+    ),
     "identify": _command(*_IDENTIFY),
     "init": _command("init", "arm.toml", "log.csv", "--overwrite", output="jaxcslc.toml"),
+    "notebook": Program(["-c", NOTEBOOK], ("out",), True, _content_of, is_command=False),
     "payload": _command(
         "payload", "arm.toml", "log.csv", "--previous", "results", "-o", "out/payload"
     ),
@@ -152,6 +231,7 @@ PROGRAMS = {
         *("identify", "servos.toml", "servos.csv", "--drive", "servo", "-o", "out/servo")
     ),
     "study": Program(["-c", STUDY], ("out",), False, _rows_of, is_command=False),
+    "workers": Program(["-c", WORKERS], ("out",), False, _content_of, is_command=False),
 }
 
 
@@ -215,6 +295,7 @@ def _make_input(folder: Path) -> None:
     (folder / "settings.json").write_text(SETTINGS, encoding="utf-8")
     limits = "[joints]\nvelocity = 2.0\ntorque = 20.0\nposition = [[-1, 1], [-1, 1]]\n"
     (folder / "limits.toml").write_text(limits, encoding="utf-8")
+    (folder / "test_fit.py").write_text(TESTS, encoding="utf-8")
     (folder / "out").mkdir()
     write_servos(folder)
     _finish(Program(["-c", MAKE], (), True, _bytes_of), folder)
@@ -240,7 +321,7 @@ def _case(name: str, number: int, seed: int, prepared: _Prepared, folder: Path) 
     draw = random.Random(f"{seed} {name} {number}")
     here = folder / f"{name} {number}"
     shutil.copytree(prepared.folder, here)
-    fault = draw.choices(_FAULTS, (3, 3, 3, 3, 1, 1, 1))[0]
+    fault = draw.choices(_FAULTS, _SHARES)[0]
     with contextlib.ExitStack() as undone:
         faults, left = _disturb(PROGRAMS[name], here, fault, draw, prepared, undone)
         try:
@@ -280,10 +361,11 @@ def _disturb(
     if fault == "read-only":
         for path in (here, here / "out"):
             path.chmod(0o555)
-    running = [_start(program, here, limit, obeys=fault == "read-only")]
-    if fault == "two at once":
+    alone = fault == "two containers"
+    running = [_start(program, here, limit, obeys=fault == "read-only", alone=alone)]
+    if fault in ("two at once", "two containers"):
         time.sleep(draw.uniform(0.0, 0.2))
-        running.append(_start(program, here))
+        running.append(_start(program, here, alone=alone))
     if fault.startswith("SIG"):
         _wait(running[0], here, before, draw, prepared.seconds)
         running[0].send_signal(getattr(signal, fault))
@@ -296,6 +378,8 @@ def _disturb(
         for path in (here, here / "out"):
             path.chmod(0o755)
     faults += _damage(program, here, before, prepared.whole)
+    if still := _still_running(here):
+        faults.append(f"{fault} left processes: {', '.join(still)}")
     left = _hidden(here)
     if left and fault != "SIGKILL":
         faults.append(f"{fault} left {', '.join(left)}")
@@ -370,15 +454,36 @@ def _is_whole(program: Program, here: Path, path: Path, whole: dict[str, Any]) -
         return False
 
 
+def _still_running(folder: Path) -> list[str]:
+    """Names of processes that work in a folder and do not end, where that can be known."""
+    end, names = time.monotonic() + _ENDED, [""]
+    while names and time.monotonic() < end:
+        names = []
+        for process in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                if (process / "cwd").readlink() == folder:
+                    names.append((process / "comm").read_text().strip())
+        time.sleep(0.1)
+    return names
+
+
 def _start(
-    program: Program, folder: Path, limit: int | None = None, *, obeys: bool = False
+    program: Program,
+    folder: Path,
+    limit: int | None = None,
+    *,
+    obeys: bool = False,
+    alone: bool = False,
 ) -> "subprocess.Popen[str]":
     """Starts a program.
 
     - `limit`: of the size of files [bytes].
     - `obeys`: whether it has no right of a superuser to write everywhere.
+    - `alone`: whether it sees no process but its own, where the system allows it.
     """
     line = [sys.executable, *program.line]
+    if alone and os.geteuid() == 0 and (unshare := shutil.which("unshare")):
+        line = [unshare, *_NAMESPACE, *line]
     if obeys and os.geteuid() == 0 and (setpriv := shutil.which("setpriv")):
         line = [setpriv, "--bounding-set=-dac_override", "--inh-caps=-dac_override", *line]
     if limit is not None:

@@ -1,7 +1,9 @@
 """Causes that first-order columns show: each is named with its size; Gram matrices are right."""
 
 import dataclasses
+import re
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from jaxcslc.checks._channel_findings import Channels
 from jaxcslc.checks._evidence import Evidence
 from jaxcslc.checks._first_order import BLOCKS, FirstOrder, gravity_columns
 from jaxcslc.checks._model_findings import file_factors
-from scripts.studies.checks.robots import Conditions, Fault, arm, record
+from scripts.studies.checks.robots import FILES, Conditions, Fault, arm, record
 
 
 ARM, SEED = "Gen2", 4
@@ -212,3 +214,51 @@ class TestChannels:
         time = 1e-5 * np.arange(300)
         recording = jc.Recording(time, self.motion[few], self.torque[few])
         assert not Channels.of(recording, ("a", "b"), "RR").findings
+
+
+def test_an_estimate_and_its_error_are_those_of_the_rows(evidence: Evidence) -> None:
+    """Against NumPy's weighted least squares with the column, and its residual by blocks."""
+    first = FirstOrder.of(evidence)
+    value, error = first.estimate(first.gains(1))
+    sizes = first.sizes(first.gains(1))
+    np.testing.assert_allclose(value, sizes[0], rtol=1e-6)
+    assert 0.0 < error < 0.05
+    # The zero of a vertical first axis adds nothing.
+    assert first.estimate(first.group("zero", 0)) == (0.0, np.inf)
+
+
+@pytest.mark.parametrize("factor", [1.05, 0.94])
+def test_a_clock_is_named_by_its_size(network: jc.CSLC, clean: jc.Recording, factor: float) -> None:
+    spoilt = dataclasses.replace(clean, time=factor * clean.time)
+    found = jc.check(network, spoilt).findings[0]
+    assert found.kind == "clock"
+    named = float(found.remedy.removeprefix("divide the times by ").split(",")[0])
+    # Friction that no model has pretends some of a clock.
+    np.testing.assert_allclose(named, factor, atol=0.025)
+
+
+def test_torques_beyond_the_limits_of_the_file_are_named(
+    network: jc.CSLC, clean: jc.Recording, tmp_path: Path
+) -> None:
+    tops = np.quantile(np.abs(clean.torque), 0.999, axis=0)
+    joint = int(np.argmax(tops))
+    text = re.sub(
+        'effort="[^"]*"',
+        f'effort="{tops[joint] / 1.2}"',
+        FILES[ARM].path.read_text(encoding="utf-8"),
+    )
+    weak = tmp_path / "weak.urdf"
+    weak.write_text(text, encoding="utf-8")
+    limited = jc.derive(jc.load_robot(weak), lengths="numeric")
+    (found,) = jc.check(limited, clean).findings
+    assert (found.kind, found.joint) == ("torque limit", network.output_names[joint])
+    assert not jc.check(network, clean).findings
+
+
+def test_torques_of_a_controllers_model_are_named(network: jc.CSLC) -> None:
+    run = record(ARM, Conditions(duration=16.0), SEED)
+    torque = run.gravity + run.motion
+    (found,) = jc.check(network, dataclasses.replace(run.recording, torque=torque)).findings
+    assert found.kind == "model torque"
+    exact = torque + run.friction
+    assert not jc.check(network, dataclasses.replace(run.recording, torque=exact)).findings

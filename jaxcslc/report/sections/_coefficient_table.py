@@ -82,11 +82,13 @@ class CoefficientSection(AbstractSection):
         rows = report.rows()
         kinds = Counter(row["verdict"] for row in rows)
         well = kinds.pop("well determined", 0)
+        doubtful = sum(kinds.values()) - kinds["indistinguishable from zero"]
         others = ", ".join(f"{kinds[kind]} {kind}" for kind in _VERDICT_TONES if kinds[kind])
         yield Message(
             f"{well} of {counted(len(rows), 'coefficient')} well determined"
             + (f"; {others}." if others else "."),
-            "caution" if kinds["not determined"] or well < 0.5 * len(rows) else "good",
+            # What is zero on the arm cannot be known to a tenth of itself.
+            "caution" if kinds["not determined"] or well <= doubtful else "good",
         )
         signed = sum(bool(row["positive"]) for row in rows)
         if wrong := kinds["wrong sign"]:
@@ -108,8 +110,9 @@ class CoefficientSection(AbstractSection):
             "Low and high are the ends of the 95 % confidence interval, for"
             f" {fit.errors} errors with {float(fit.degrees_of_freedom):.0f} degrees of freedom."
             " The standard error is what noise causes, and falls with more data. The systematic"
-            " error is how far smoothing, torque timing or missing terms may shift the value; more"
-            " data of this motion do not reduce it. Well determined: the standard error is at most"
+            " error is how far smoothing, torque timing or missing terms may shift the value, and a"
+            " factor of the torques, a clock and zero positions within their tolerances; more data"
+            " of this motion do not reduce it. Well determined: the standard error is at most"
             " 10 % of the value, the systematic error at most 5 %. Verdict 'systematic error': the"
             " first holds, the second does not; the reason names the main cause. A poorly"
             " determined coefficient has little effect on the torque of this motion.",
@@ -126,11 +129,12 @@ class SystematicSection(AbstractSection):
 
     name = "systematic"
     results = MappingProxyType({"systematic": None})
-    entries = MappingProxyType({"systematic_error": object})
+    entries = MappingProxyType({"systematic_error": object, "tolerances": dict})
 
     @classmethod
     def document_of(cls, result: SystematicError, report: AnyReport) -> Mapping[str, Any]:
-        return {"systematic_error": dict(result.parts)}
+        parts = {"systematic_error": dict(result.parts)}
+        return parts | ({"tolerances": dict(result.within)} if result.within else {})
 
     def result(self, name: str, report: AnyReport) -> SystematicError | None:
         where, size = "systematic_error", len(report.names)
@@ -145,7 +149,8 @@ class SystematicSection(AbstractSection):
             values[np.isnan(values)] = np.inf  # JSON has no number for it
             if values.shape != (size,) or np.any(values < 0):
                 raise ValueError(f"{where}, {cause}: expected {size} numbers from 0 up")
-        return SystematicError(arrays) if arrays else None
+        within = {str(cause): str(text) for cause, text in self.data.get("tolerances", {}).items()}
+        return SystematicError(arrays, within) if arrays else None
 
 
 class ExcitationSection(AbstractSection):
@@ -185,7 +190,7 @@ class ExcitationSection(AbstractSection):
         fitted = len(report.names) - (0 if fixed is None else len(fixed.data["fixed"]))
         systematic = getattr(report, "systematic", None)
         causes = "" if systematic is None else ". Systematic errors included: "
-        causes += "" if systematic is None else ", ".join(systematic.parts)
+        causes += "" if systematic is None else systematic.description
         errors = "std error: what noise causes"
         errors += (
             ""

@@ -19,7 +19,7 @@ import scipy
 
 import jaxcslc as jc
 from jaxcslc.checks import Finding
-from jaxcslc.report import all_or_nothing, verdicts, write_csv
+from jaxcslc.report import all_or_nothing, write_csv
 from scripts.studies import command
 from scripts.studies.checks.robots import ARMS, Conditions, arm, record
 from scripts.studies.checks.spoilers import SIZES, SPOILERS, Spoilt, spoilt
@@ -121,6 +121,7 @@ def judged(job: Job) -> dict[str, Any]:
         **{"arm": name, "kind": kind, "size": size, "seed": seed},
         "result": silent if first is None else "named" if right else "named wrongly",
         "verdict": "refused" if report is None else report.page(charts=False).tone,
+        "why": "" if report is None else report.verdict,
         "well_determined": well,
         "outside": outside,
         "first": "" if first is None else first.kind,
@@ -146,9 +147,8 @@ def _confident(network: jc.CSLC, report: jc.Report | None, truth: np.ndarray) ->
     """Return how many coefficients are well determined, and how many of these are wrong."""
     if report is None or report.network.size != len(truth):
         return 0, 0
-    listed = verdicts(network, report.fit, report.excitation, systematic=report.systematic)
-    well = np.array([verdict.kind == "well determined" for verdict in listed])
     rows = report.rows(_LEVEL)
+    well = np.array([row["verdict"] == "well determined" for row in rows])
     low, high = (np.array([row[end] for row in rows], float) for end in ("low", "high"))
     outside = well & ((truth < low) | (truth > high))
     return int(well.sum()), int(outside.sum())
