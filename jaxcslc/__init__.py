@@ -23,7 +23,7 @@ _attribute, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 def __getattr__(name: str) -> object:
     """Load a public name, or read the version from the metadata."""
     if name == "__version__":
-        from importlib.metadata import version  # takes 20 ms, and hardly anyone asks
+        from importlib.metadata import version  # takes 20 ms, and few ask for it
 
         return version(__name__)
     return _attribute(name)

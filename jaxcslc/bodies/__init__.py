@@ -2,7 +2,7 @@
 
 Input is a fit (coefficients with their covariance), and knowledge of the robot: its file, or a
 `Prior`. Output is masses, centres of gravity and inertia tensors, and the coefficients that these
-imply. The possible bodies solve a semidefinite programme (Sousa and Cortesão 2014).
+imply. The physically consistent bodies solve a semidefinite programme (Sousa and Cortesão 2014).
 
      fit, prior, knowledge --> NearestBodies --> bodies --> PhysicalParameters --> PossibleFit
                                (programme)                  (link parameters)      (judged)
@@ -15,7 +15,7 @@ Modules, in reading order:
 - `_principal_programme`: search for links with principal axes.
 - `_physical_parameters`: link parameters of a fit.
 - `_file_prior`: the robot's file as prior of coefficients, and its width.
-- `_possible_fit`: possible bodies compared with the unconstrained fit on held-out data.
+- `_possible_fit`: consistent bodies compared with the unconstrained fit on held-out data.
 """
 
 from ._body import (

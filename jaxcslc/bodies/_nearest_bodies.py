@@ -1,4 +1,4 @@
-"""Possible bodies nearest to a fit: semidefinite least squares, of one body and of all links.
+"""Physically consistent bodies nearest to a fit: semidefinite least squares, of one or all links.
 
 `whitening` turns changes of coefficients into standard errors. Clarabel solves the cone
 programme of full tensors; principal axes have the search of `_principal_programme`.
@@ -237,7 +237,7 @@ def nearest_body(
     The semidefinite programme of `physical_parameters` for one body: nearest in standard errors
     of `covariance`, on the combinations that are determined; along the `undetermined` ones,
     nearest to an aluminium ball of the estimate's mass around its centre. An estimate that can
-    exist is its own answer, but for rounding.
+    exist is its own answer, except for rounding.
 
     **Arguments**
 
@@ -392,7 +392,7 @@ def prior_of(
 
     - `robot`: its links' kinds of inertia.
     - `links`: their parameters.
-    - `filler`: a possible body for each link, which lends it what it lacks.
+    - `filler`: a physically consistent body for each link, which lends it what it lacks.
     - `fixed`: ten numbers of the body that is fixed to each link.
     """
     bodies = bodies_of(links) - fixed
@@ -429,7 +429,7 @@ def _possible(
 def _possible_principal(
     body: Float[np.ndarray, "10"], lender: Float[np.ndarray, "10"]
 ) -> Float[np.ndarray, "10"]:
-    """Return a possible body that keeps its principal axes.
+    """Return a physically consistent body that keeps its principal axes.
 
     Its mass, and its spread along each axis, are kept from zero.
     """
@@ -741,7 +741,7 @@ def by_discrepancy(problem: NearestBodies, least: float) -> tuple[NearestBodies,
     The discrepancy principle (Morozov 1966): the errors of the data say how far from the fit the
     solution may be. The true coefficients are a standard error from it; of bodies that are half of
     that away the data say nothing against any, and those nearest to the robot's file are the best
-    guess. Where even the nearest possible bodies are d standard errors from the fit, the weight is
+    guess. Where even the nearest such bodies are d standard errors from the fit, the weight is
     the largest whose bodies are not further than sqrt(d² + 0.5²). Weights are powers of √10 from
     `WEAK` to 10. Bodies that are no robot's, as balls are, keep the weight `WEAK`.
     """

@@ -1,4 +1,4 @@
-"""Comparison of possible bodies with the unconstrained fit, on motion that neither was fitted to.
+"""Comparison of physically consistent bodies with the unconstrained fit, on held-out motion.
 
 `judged_bodies` is what `identify` calls. It decides whose coefficients the report has.
 """
@@ -141,7 +141,7 @@ def other_masses(network: CSLC, parameters: PhysicalParameters) -> tuple[str, ..
 Choice = Literal["auto", "always", "never"]
 # Bodies are used if at most one in five such gains is chance. True coefficients are those of
 # bodies, which speaks for them beforehand. Those of a KR300, which stretches of the training motion
-# preferred by 1.6 standard errors, predicted other motion a fifth better than the free fit; on no
+# preferred by 1.6 standard errors, predicted other motion a fifth better than the fit; on no
 # recording of a real arm were they worse.
 _CHANCE = 0.2
 
@@ -152,7 +152,7 @@ class JudgedPart(NamedTuple):
     - `support`: the coefficients that each joint's torque depends on.
     - `columns`: of the part's regressor, for each joint those of its support.
     - `torque`, `mask`: of the part.
-    - `fit`: of the others, whose coefficients need not be those of possible bodies.
+    - `fit`: of the others, whose coefficients need not be those of physically consistent bodies.
     - `base`: the same without the robot's file as prior; `fit` if None.
     """
 
@@ -194,13 +194,13 @@ class JudgedPart(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PossibleFit:
-    """Possible bodies beside the fit that they are nearest to, judged on motion unseen by both.
+    """Physically consistent bodies and the fit that they are nearest to, judged on held-out motion.
 
     **Attributes**
 
     - `parameters`: of the bodies.
-    - `free`: the fit, whose coefficients need not be those of possible bodies.
-    - `held_out`: errors of the bodies' coefficients on parts of the motion that were left out in
+    - `free`: the fit, whose coefficients need not be those of physically consistent bodies.
+    - `held_out`: errors of the bodies' coefficients on parts of the motion that were held out in
       turn.
     - `free_held_out`: the same of the fit's.
     - `change`: mean over parts and joints of the logarithm of the ratio of the two errors, the
@@ -233,8 +233,8 @@ class PossibleFit:
     def fit(self) -> Identification:
         """The fit to use: with the bodies' coefficients, if they are used.
 
-        Standard errors are those of the free fit, as an upper bound: true coefficients are those
-        of possible bodies, a convex set, and what is nearest in it to a fit is no further from the
+        Standard errors are those of the unconstrained fit, as an upper bound: true coefficients are
+        those of bodies, a convex set, and what is nearest in it to a fit is no further from the
         truth than the fit, measured by the fit's covariance.
         """
         if not self.used:
@@ -281,7 +281,7 @@ class PossibleFit:
 
 
 def possible_text(document: Mapping[str, Any]) -> str:
-    """Return what a report says of possible bodies.
+    """Return what a report says of physically consistent bodies.
 
     **Arguments**
 
@@ -314,10 +314,10 @@ def possible_fit(
     base: Identification | None = None,
     step: Callable[[str], None] = lambda _: None,
 ) -> PossibleFit:
-    """The possible bodies nearest to a fit, and whether they predict torque better than it does.
+    """The consistent bodies nearest to a fit, and whether they predict torque better than it does.
 
     Both are judged on the same parts of the motion, each predicted by fits to the others, one with
-    and one without possible bodies. The bodies are used where the mean logarithm of the ratio of
+    and one without consistent bodies. The bodies are used where the mean logarithm of the ratio of
     their errors is below zero by more than the spread over parts explains (Student's t, one-sided,
     20 %), and by 1 % at least.
 
@@ -393,7 +393,7 @@ def judged_bodies(
     parameters: PhysicalParameters | None = None,
     step: Callable[[str], None] = lambda _: None,
 ) -> tuple[PossibleFit | None, HeldOut | None, tuple[str, ...]]:
-    """Return possible bodies, held-out errors of the coefficients to use, and warnings.
+    """Return consistent bodies, held-out errors of the coefficients to use, and warnings.
 
     Bodies are None if they were not asked for or, with `"auto"`, could not be computed; errors are
     None if nothing made parts necessary.

@@ -1,4 +1,4 @@
-"""Search for possible bodies with principal axes, in coordinates that keep them possible.
+"""Search for consistent bodies with principal axes, in coordinates that keep them consistent.
 
 The search is Levenberg and Marquardt's within bounds (`bounded_least_squares`).
 """
@@ -202,7 +202,7 @@ def nearest_in_charts(
     bounded: Float[np.ndarray, " others"],
     weights: Float[np.ndarray, " unknowns"],
 ) -> tuple[Float[np.ndarray, "links 10"], Float[np.ndarray, " others"], bool]:
-    """Find the possible bodies nearest to a target, in coordinates of charts.
+    """Find the physically consistent bodies nearest to a target, in coordinates of charts.
 
     Minimises |of_bodies · bodies + of_others · y - target|² + |weights (z - start)|². z are the
     bodies' coordinates and y; y ≥ 0 where `bounded`. The problem is not convex; the search starts

@@ -177,7 +177,7 @@ class Prior:
       file, or by its number from 1. Centres are in the frames of the file's bodies, which are
       meant without what the file fixes to them.
 
-    What is known of links changes possible bodies, not the free fit: a coefficient is a combination
+    What is known of links changes bodies, not the unconstrained fit: a coefficient is a combination
     of many links' parameters.
 
     **Raises**

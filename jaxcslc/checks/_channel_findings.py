@@ -273,7 +273,7 @@ def _saturated(recording: Recording, valid: np.ndarray) -> Iterator[Saturated]:
             continue
         for sign, word in ((1.0, "highest"), (-1.0, "lowest")):
             values = sign * column[moving]
-            # The highest values but for those that noise alone brings there.
+            # The highest values except for those that noise alone brings there.
             top = float(np.quantile(values, 1.0 - 0.2 * _SATURATED)) + 0.2 * width
             counts = [
                 int(np.sum((values <= top - i * width) & (values > top - (i + 1) * width)))

@@ -55,7 +55,7 @@ class DataCheck:
         >>> from jaxcslc import DataCheck, Finding
         >>> degrees = Finding("angle unit", "", "", "positions are in degrees", "")
         >>> print(*DataCheck((), (degrees,)).unexplained(["elbow: a large error"]))
-        1 warning about errors and bodies is left out: positions are in degrees; mend that first
+        1 warning about errors and bodies is omitted: positions are in degrees; fix that first
         """
         causes = [found.cause for found in self.findings if found.kind in SPOILING_KINDS]
         if not causes or not warnings:
@@ -63,7 +63,7 @@ class DataCheck:
         many = "1 warning" if len(warnings) == 1 else f"{len(warnings)} warnings"
         are = "is" if len(warnings) == 1 else "are"
         return (
-            f"{many} about errors and bodies {are} left out: {'; '.join(causes)}; mend that first",
+            f"{many} about errors and bodies {are} omitted: {'; '.join(causes)}; fix that first",
         )
 
     def plot(self) -> Any:
@@ -178,7 +178,7 @@ def check(
 def _with_fewest_coefficients(network: CSLC) -> CSLC:
     """Return the network with numeric lengths, where all have values, and no static friction.
 
-    Static friction is hardly determined by smoothed motion, and may then be anything in another;
+    Static friction is barely determined by smoothed motion, and may then be anything in another;
     friction that follows the load takes a search, and is left out, too.
     """
     network = network.without_load()
@@ -275,7 +275,7 @@ class JointSummary:
     - `speed`: that 99.9 % of its samples do not exceed [rad/s or m/s].
     - `torque`: root mean square [N m or N]; `largest`: greatest absolute value.
     - `resolution`: step of its encoder; 0 where readings show no steps [rad or m].
-    - `resting_share`: part of the samples at which it hardly moves.
+    - `resting_share`: part of the samples at which it barely moves.
     - `limits`: of the robot's file, or None.
     """
 

@@ -87,7 +87,7 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
             "--drop-stale leaves them out",
         ),
         "fixed joint": (
-            "--fix, --tip or --base leave out a joint that the motion needs",
+            "--fix, --tip or --base exclude a joint that the motion needs",
             "leave it free, or record the others with this joint at rest",
         ),
         "mimic joint": (
@@ -118,7 +118,7 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         ),
         "stop": (
             "{joint} ran against a stop, or another body",
-            "keep the motion within the range that the arm has; leave out the rest with --between",
+            "keep the motion within the range that the arm has; exclude the rest with --between",
         ),
         "unsigned torque": (
             "the torque of {joint} is recorded without its sign",
@@ -171,7 +171,7 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         ),
         # Motion and robot.
         "motion": (
-            "the recording is too short or hardly moves",
+            "the recording is too short or barely moves",
             "record a longer motion of all joints",
         ),
         "tame motion": (

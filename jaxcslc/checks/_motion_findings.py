@@ -169,7 +169,7 @@ def _hypotheses(
         for what, change in (("position", Change(order)), ("torque", Change(None, order))):
             swapped = finding("swapped joints: of one quantity", "", both, what=what, pair=pair)
             yield _Hypothesis(swapped, (first, second), change)
-    # Angles in degrees, of all revolute joints or of one; none that would be hardly any motion.
+    # Angles in degrees, of all revolute joints or of one; none that would be almost no motion.
     revolute = np.array([kind == "R" for kind in kinds])
     wide = np.flatnonzero(revolute & (extent > _LEAST_DEGREES)).tolist()
     turning = [np.flatnonzero(revolute).tolist()] if wide else []
@@ -453,7 +453,7 @@ def _excitation(evidence: Evidence) -> tuple[list[Finding], str]:
 def _determinable(network: CSLC) -> int:
     """Return the number of coefficients that some motion determines.
 
-    All, but for joints that follow others: some of what these carry shows only if they move by
+    All, except for joints that follow others: some of what these carry shows only if they move by
     themselves.
     """
     joints = network.joint_count

@@ -120,7 +120,7 @@ class CFunction:
     - `source`: C code; the function in it returns nothing.
     - `name`: of the function.
     - `arguments`: the kind of each: an `CArray`, `CRows`, or a type of `ctypes`, such as `LONG`.
-    - `options`: of the compiler, after the usual ones: `-O1` for code that optimising hardly helps.
+    - `options`: of the compiler, after the usual ones: `-O1` for code that optimising barely helps.
 
     >>> import numpy as np
     >>> source = "void twice(double* x, long n) { for (long i = 0; i < n; ++i) x[i] *= 2.0; }"

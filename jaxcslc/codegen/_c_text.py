@@ -52,7 +52,7 @@ class KernelText:
     def statements(self, outputs: Iterable[tuple[Value, str]]) -> list[str]:
         """Lines that compute values, a constant of type `real` each, and store them at once.
 
-        - `outputs`: values, and a statement with `{0}` in place of the value.
+        - `outputs`: values, and a statement with `{0}` instead of the value.
         """
         stores: dict[int, list[str]] = {}
         for value, store in outputs:

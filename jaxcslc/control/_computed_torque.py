@@ -51,7 +51,7 @@ class ComputedTorque(AbstractController):
     - `natural_frequency` [rad/s], `damping`, `integral_gain` [1/s³], `torque_limit` [N m or N]:
       (n,).
     - `friction_width`: (n,) [rad/s or m/s]; see `smooth_friction`.
-    - `inertia`: (n,) the constant diagonal in place of M(q) [kg m² or kg].
+    - `inertia`: (n,) the constant diagonal instead of M(q) [kg m² or kg].
     - `compensation`: the terms of Eqn. 2.7-1 that are used; static.
     - `friction_at`: which velocity friction is computed for, `"measured"` or `"reference"`; static.
 

@@ -326,7 +326,7 @@ def export_robot(
     - `path`: of the file to write, of the same kind as the robot's.
     - `motion`: states at which torques are compared; random ones if omitted.
     - `motors`: whether joints have motor inertia where the network has it. False fixes it at zero:
-      for a simulator that has none, at the cost of bodies that make up for it.
+      for a simulator that has none, at the cost of bodies that compensate it.
     - `systematic`: of the fit: added to the standard errors that movements are counted in.
     - `file_weight`: of the fit, if the robot's file was a prior of it (`Report.file_prior`). What
       the motion does not determine is then shared out as the file has it.

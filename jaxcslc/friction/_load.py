@@ -18,7 +18,7 @@ from ._slopes import SlopeFit, fit_slopes
 _TOLERANCE = 0.02
 _STEPS = 20
 # The first steps leave slopes as they are and drop nothing: they begin at a fit without the load,
-# whose rigid torque, and whose static friction, make up for it.
+# whose rigid torque, and whose static friction, compensate for it.
 _FIRST_STEPS = 2
 
 

@@ -65,7 +65,7 @@ ESTIMATORS: Mapping[str, AbstractEstimator] = MappingProxyType(
 
 # Joints of which pre-sliding is kept for nothing. Not divided by the number of kinds that are
 # tried, as for terms: of 96 joints without it (simulated, encoders or Gaussian noise), none kept it
-# at either level, since hardly any length fits better there; five of a Panda's seven would lose it.
+# at either level, since almost no length fits better there; five of a Panda's seven would lose it.
 _CHANCE = 0.05
 _TOO_LONG = "the recording is too long to be fitted in one piece"
 
@@ -228,7 +228,7 @@ def _tried(
 ) -> tuple[PreSlidingFit | None, str | None]:
     """Pre-sliding, or why it could not be tried.
 
-    It is judged over all samples: masks leave out the slow ones, which say most of it.
+    It is judged over all samples: masks exclude the slow ones, which say most about it.
     """
     step(f"trying friction: {PRE_SLIDING}")
     everything = np.ones(np.shape(patterns.mask), bool)

@@ -216,7 +216,7 @@ def _systematic_errors(
 class SimulatedMotion(AbstractEstimator):
     """Instruments from simulated motion, or torques alone with `DirectDynamics`.
 
-    Of one recording, without possible bodies and systematic errors. `method` has the settings of
+    Of one recording, without consistent bodies and systematic errors. `method` has the settings of
     the problem.
     """
 

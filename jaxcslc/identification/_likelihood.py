@@ -196,7 +196,7 @@ def _fit_of(problem: Problem, likelihood: LikelihoodFit) -> Fit:
     noise = likelihood.noise_excitation
     if noise is not None and noise.excessive:
         warnings.append(
-            f"maximum likelihood, {noise.line}: the motion hardly shows this coefficient. Likely"
+            f"maximum likelihood, {noise.line}: the motion barely excites this coefficient. Likely"
             " cause: slow motion, or a single sine a joint. Remedy: faster or richer motion"
             " (jaxcslc excite), or --estimator least-squares"
         )
@@ -220,13 +220,13 @@ def _has_static_friction(network: CSLC) -> bool:
 
 
 def _may_have_bodies(request: Request) -> bool:
-    """Return whether the search may be restricted to possible bodies."""
+    """Return whether the search may be restricted to physically consistent bodies."""
     priors = (request.prior, request.likelihood_options.prior)
     return request.possible == "always" or any(x is not None and x.links for x in priors)
 
 
 def _with_bodies(request: Request, options: MaximumLikelihood) -> MaximumLikelihood:
-    """Options whose search has possible bodies if they are used anyway."""
+    """Options whose search has physically consistent bodies if they are used anyway."""
     prior = request.prior or options.prior or Prior()
     bounds = any(
         entry.value is None or entry.low > -np.inf or entry.high < np.inf
@@ -292,7 +292,7 @@ class _Unfitted(NamedTuple):
     """Motion that was not fitted, and what estimators that have not seen it make of it.
 
     - `recordings`: with torques on time; `patterns`: as the report's settings prepare them.
-    - `least_squares`: its coefficients, those of possible bodies where the report has them.
+    - `least_squares`: its coefficients, those of consistent bodies where the report has them.
     - `likelihood`: the other fit, as it is.
     - `contact`: (n,) states of dry friction that the patterns start with; None for zeros.
     """

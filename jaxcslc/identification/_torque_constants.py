@@ -108,7 +108,7 @@ def identify_torque_constants(
 ) -> TorqueConstants:
     """Identifies the torque constants of all joints with a payload of known mass.
 
-    Currents alone determine an arm's coefficients and torque constants but for one common factor.
+    Currents alone determine an arm's coefficients and torque constants except one common factor.
     A payload of known mass, carried through part of the motion, sets it (Gautier and Briot, Global
     identification of joint drive gains and dynamic parameters of robots, J. Dyn. Syst. Meas.
     Control 136, 2014). The payload's other parameters may be unknown. Fitted are the currents,

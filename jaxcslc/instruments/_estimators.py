@@ -453,7 +453,7 @@ class DirectDynamics(AbstractSimulationFit):
 
     Each solution is simulated in turn (Gautier, Janot and Vandanjon, 'A new closed-loop output
     error method for parameter identification of robot dynamics', IEEE Transactions on Control
-    Systems Technology 21, 2013). No recorded position is used, but for the first simulation and to
+    Systems Technology 21, 2013). No recorded position is used except in the first simulation and to
     see that the simulated arm follows. With a controller or reference that is not the recording's,
     Z is of another motion than the torques, and the fit is biased.
 

@@ -31,7 +31,7 @@ ERRORS: tuple[str, ...] = get_args(Errors)
 Result = TypeVar("Result")
 
 # Every cosine component adds one degree of freedom to the variance of a sum: with more than these,
-# Student's t hardly differs from a normal distribution; with fewer, intervals are wide and
+# Student's t barely differs from a normal distribution; with fewer, intervals are wide and
 # uncertain themselves.
 COMPONENTS = 32
 _FEWEST_COMPONENTS = 8
@@ -194,7 +194,7 @@ def cosine_grams(
     r"""Return products of weighted columns with each other, times a cosine, summed over time.
 
     $\sqrt 2 \sum_t \cos(c \pi \varphi_t)\, w_t\, r_t r_t^T$ for $c = 1, 2, \dots$ Within a block
-    of time in which the highest cosine hardly turns, all of them are polynomials of time: a few
+    of time in which the highest cosine barely turns, all of them are polynomials of time: a few
     moments of the block's products serve all components. That takes a third of the
     multiplications of all components one by one, and no memory for products of pairs of columns.
 

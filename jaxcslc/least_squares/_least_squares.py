@@ -94,7 +94,7 @@ class LeastSquares:
 
     - `joint_weights`: `"residual"` divides the equations of each joint by their root mean square
       residual, as for joints of different noise; `"equal"`; or n positive numbers. A joint with
-      hardly more equations than coefficients counts as noisy as is usual.
+      barely more equations than coefficients counts as noisy as is usual.
     - `loss`: `"squared"`, ordinary least squares; or a robust one, minimised by iteratively
       reweighted least squares: `"huber"` bounds the influence of an equation beyond 1.345
       standard deviations, `"bisquare"` ignores equations beyond 4.685. The standard deviation of
@@ -158,7 +158,7 @@ class LeastSquares:
         **Arguments**
 
         - `network`: n joints, p coefficients.
-        - `patterns`: motion and torque (samples, n); pairs outside of the mask are left out.
+        - `patterns`: motion and torque (samples, n); pairs outside of the mask are excluded.
         - `fixed`: coefficients that keep their values; if None, all are fitted but those that
           are numbers in the network (`network.known_values`).
         - `throw`: raise on NaN and on too few equations instead of returning the result code. A

@@ -22,7 +22,7 @@ from ._identification import Identification
 
 # Of residuals, as a part of the torque: what is smaller is rounding.
 _ROUNDING = 1e-12
-# Weights settle to a percent in two rounds: residuals hardly depend on them.
+# Weights settle to a percent in two rounds: residuals barely depend on them.
 _ROUNDS = 3
 # A coefficient that shares this part of a unit null vector is not determined by itself: rounding of
 # null vectors, whose singular values are at least 10^-14 of the largest, is below it.
@@ -243,7 +243,7 @@ def residual_weights(
 
     The noise is the residual, and no less than what a fit can hide of the usual noise
     (`hidden_noise`): of the median of the joints' residuals as parts of their torques; or of the
-    torques, where no joint has more equations than coefficients. So a joint that hardly moves has
+    torques, where no joint has more equations than coefficients. So a joint that barely moves has
     no greater weight than others.
 
     - `error`, `torque`: root mean squares of residuals and of torques.

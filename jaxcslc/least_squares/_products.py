@@ -180,7 +180,7 @@ def factors_of(
     small an error as Householder's. That is checked by a bound, joint by joint; what fails it is
     factorised again behind the factor that it has led to, and in the end by reflections. (Fukaya
     et al., 'Shifted Cholesky QR for computing the QR factorization of ill-conditioned matrices',
-    SIAM J. Sci. Comput. 2020, doi:10.1137/18M1218212; a sample in place of the first pass as of
+    SIAM J. Sci. Comput. 2020, doi:10.1137/18M1218212; a sample instead of the first pass as of
     Balabanov, 'Randomized Cholesky QR factorizations', 2022, arXiv:2210.09953.)
 
     **Arguments**
@@ -286,7 +286,7 @@ def corrected(
     products with the columns are summed in twice the precision, and the factors need then be good
     to some digits only: 'corrected seminormal equations' (Björck, 'Stability analysis of the method
     of seminormal equations for linear least squares problems', Linear Algebra and its Applications
-    1987, doi:10.1016/0024-3795(87)90101-7), with double-word sums in place of single ones, since
+    1987, doi:10.1016/0024-3795(87)90101-7), with double-word sums instead of single ones, since
     a sum of 10^8 products is rounded by more than the columns are.
 
     - `sums`: of `residual_sums`, for the solution's coefficients; of one or several sets of

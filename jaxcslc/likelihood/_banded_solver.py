@@ -166,7 +166,7 @@ void add_equations(
             for (long m = 0; m < n; ++m) {
                 const long r = slot * n + m, column = firsts[e + slot] + m;
                 targets[r] = column * columns;
-                /* Rows of the band one after the other, but for unknowns that are no positions. */
+                /* Rows of the band one after the other, except unknowns that are no positions. */
                 for (long from = r, to; from < stencil; from = to) {
                     const long row = firsts[e + from / n] + from % n;
                     to = (from / n + 1) * n;

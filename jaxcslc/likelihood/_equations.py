@@ -252,7 +252,7 @@ def triangle_truncation(
     """Return the triangle's mean of smooth torque less what equations have for it, (equations, n),
     and what is missing in the mean velocity of friction.
 
-    Torque of an equation is of one instant, but for the mean of acceleration: what means of
+    Torque of an equation is of one instant, except for the mean of acceleration: what means of
     products leave out is of second order in the interval. Here all is of fourth order: velocity and
     acceleration at the instant, from differences of differences, and the mean of the torques of
     three instants as it is taken of recorded ones. It is as large as noise where torque is nearly

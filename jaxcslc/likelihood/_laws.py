@@ -59,7 +59,7 @@ class Intervals:
 
     **Attributes**
 
-    - `share`: (samples, n) of a reading that counts, 1 but for joints at rest.
+    - `share`: (samples, n) of a reading that counts, 1 except for joints at rest.
     - `step`: (samples, n) of the encoders [rad or m].
     - `edge`: (samples, n) widths of edges in steps; 0 for normally distributed readings.
     """

@@ -114,9 +114,9 @@ _MOST_TRIALS, _MOST_HALVINGS = 8, 4
 # below this part of what was missing before.
 _MOST_CORRECTIONS, _GOOD, _NEARER = 6, 0.5, 0.3
 # A step in which the sum of squares falls by less than this part of its promise is too long: the
-# sum bends more than linear equations say, and steps go to and fro over its minimum (a pendulum
-# whose friction grows little by little with speed: 15 steps in place of 44). Not beside counts and
-# joints that stick, whose laws are no parabolas: there 60 steps were not enough in place of 20.
+# sum bends more than linear equations say, and steps go back and forth over its minimum (a pendulum
+# whose friction grows little by little with speed: 15 steps instead of 44). Not beside counts and
+# joints that stick, whose laws are no parabolas: there 60 steps were not enough instead of 20.
 _POOR = 0.25
 # A promise below this is of rounding.
 _ROUNDING = 1e-5

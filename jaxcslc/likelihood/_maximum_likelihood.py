@@ -81,7 +81,7 @@ class MaximumLikelihood:
       (`NoiseExcitation`).
     - `prior`: values of coefficients that are known beforehand, with their errors, or fixed; with
       `possible`, of links, too.
-    - `possible`: whether coefficients are those of possible bodies, near to the robot's where the
+    - `possible`: whether coefficients are those of consistent bodies, near to the robot's where the
       recording says nothing (`physical_parameters`), with positions that belong to them.
     - `presliding_distance`: (n,) over which dry friction yields before it slides [rad or m], such
       as that of `fit_pre_sliding`; 0 where it follows the sign of velocity; of no joint if there
@@ -230,7 +230,7 @@ class MaximumLikelihood:
     ) -> Misfit:
         """Return how well coefficients agree with recordings that are not smoothed.
 
-        Torque errors of smoothed motion are least for coefficients that make up for what smoothing
+        Torque errors of smoothed motion are least for coefficients that absorb what smoothing
         does: true ones lose. Here positions are estimated, for coefficients, slopes and noise
         levels as they are, and what is left of torques and readings is looked at.
 

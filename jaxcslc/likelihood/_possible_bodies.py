@@ -136,10 +136,10 @@ def possible_bodies(
     errors: Errors,
     progress: Callable[[str], None],
 ) -> LikelihoodFit:
-    """Return the most likely possible bodies, with positions, slopes and noise that belong to them.
+    """Return the most likely bodies, with positions, slopes and noise that belong to them.
 
     With positions eliminated, a Gauss-Newton step makes the objective a square of coefficients:
-    its minimum and its information. The possible bodies nearest to that in its metric are what
+    its minimum and its information. The consistent bodies nearest to that in its metric are what
     `physical_parameters` computes. For their coefficients the search estimates everything else,
     and the next step begins there: sequential quadratic programming with a constraint that is
     convex. It goes on with the signs and weights of the search before, so that the objective is

@@ -155,7 +155,7 @@ def check_prior(prior: Prior | None, *, possible: bool) -> None:
     - `prior`: of `MaximumLikelihood`.
     - `possible`: whether bodies are to be possible.
 
-    **Raises** `ValueError` for links without possible bodies, and for bounds.
+    **Raises** `ValueError` for links without physically consistent bodies, and for bounds.
     """
     entries: dict[str, Known] = {} if prior is None else dict(prior.coefficients)
     if prior is not None and prior.links and not possible:

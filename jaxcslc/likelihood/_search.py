@@ -41,11 +41,11 @@ _SETTLED, _PROMISE_OF_POSITIONS = 1e-2, 1.0
 # the linear equations than the square root of the promise, a third.
 _LEVEL = 1e-2
 # At the end, what friction may be where its sign is uncertain is fixed, once a step is less than so
-# many standard errors. Else weights follow static friction that hardly any motion shows, and it
-# follows these, to and fro.
+# many standard errors. Else weights follow static friction that almost no motion shows, and it
+# follows these, back and forth.
 _FIXED = 1.0
 # Before that, and what equations leave out, too, after so many steps before which the sum of
-# squares had risen by so much: what follows the motion goes to and fro with it. (Of a Stäubli TX40,
+# squares had risen by so much: what follows the motion alternates with it. (Of a Stäubli TX40,
 # whose static friction is four standard deviations of its prior below zero, by six standard errors
 # a step for as long as there were steps.)
 _MOST_RISES, _RISE = 3, 0.1

@@ -48,7 +48,7 @@ class Signs:
         - `stuck`: where joints are at rest.
         - `margin`: how many equations on either side of a change of sign are uncertain.
         - `modelled`: whether a reversal on its own, with clear motion on both sides, is a moment
-          to be estimated, in place of uncertain equations.
+          to be estimated, instead of uncertain equations.
         - `joined`: equations that span two recordings; there are none if omitted.
         - `ambiguous`: equations that are uncertain whatever the motion; none if omitted.
         """

@@ -30,7 +30,7 @@ class NoiseExcitation:
 
     The estimated motion contains noise: of accelerations, that of readings over the square of the
     time between positions. Columns of the regressor at that motion vary with it, which the normal
-    equations take for excitation. Where the motion itself hardly tells two coefficients apart, as
+    equations take for excitation. Where the motion itself barely tells two coefficients apart, as
     a single sine cannot tell an inertia from gravity's spring, the fit follows the noise, and its
     standard errors are too small. At the smoothed motion columns do without: what they make of
     standard errors, over what the fit reports, is 1 where motion excites and 10 and more where

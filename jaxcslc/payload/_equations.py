@@ -1,4 +1,4 @@
-"""Mathematics of a payload that is estimated on-line: noise, equations, evidence, possible bodies.
+"""Mathematics of a payload that is estimated on-line: noise, equations, evidence, bodies.
 
 `PayloadEstimator` in `_estimator` uses them, sample by sample.
 """
@@ -211,7 +211,7 @@ _STEP_FRACTION = 0.95
 def possible_body(
     estimate: Float[Array, "10"], information: Float[Array, "10 10"], *, steps: int = 12
 ) -> Float[Array, "10"]:
-    """Return the physically possible body nearest to an estimate, in the metric of the estimate.
+    """Return the physically consistent body nearest to an estimate, in the metric of the estimate.
 
     A body is possible if and only if its pseudo-inertia J is positive definite (Wensing, Kim and
     Slotine 2018). This minimises ½ (x − x̂)' Λ (x − x̂) under that condition, by a primal-dual

@@ -138,7 +138,7 @@ class PayloadEstimator(eqx.Module):
       together, and dropped there otherwise (a cumulative sum: Page 1954). If the evidence exceeds
       `evidence_threshold` for 0.1 s, the estimate is from these equations. It is
       published as soon as the mass is accurate to `mass_tolerance` or above zero by four standard
-      errors, or, for an arm that hardly senses the mass, after a second of motion.
+      errors, or, for an arm that barely senses the mass, after a second of motion.
     - **Putting down.** While a payload is carried, the cumulative sum of the logarithms of how much
       better no payload predicts a sample than the payload so far, against the same threshold.
     - **Another payload.** A second estimator with a short forgetting time is compared with the

@@ -318,7 +318,7 @@ class PayloadReport:
 
     @property
     def file_body(self) -> LinkParameters | None:
-        """The possible body in the frame of the last joint's body in the robot's URDF or MJCF.
+        """The consistent body in the frame of the last joint's body in the robot's URDF or MJCF.
 
         None where there is no such body, or no such file.
         """

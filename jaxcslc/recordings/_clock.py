@@ -116,7 +116,7 @@ def resample(
             f" between {fresh.time[gap]:g} s and {fresh.time[gap + 1]:g} s; expected"
             f" {_LEAST_COVERED:g} or more: cut the recording at its gaps (`between`)"
         )
-    # The last sample is kept where it falls on the new grid but for rounding.
+    # The last sample is kept where it falls on the new grid, up to rounding.
     time = start + interval * np.arange(int(np.floor((end - start) / interval + 1e-6)) + 1)
     at = np.minimum(time, end)
 

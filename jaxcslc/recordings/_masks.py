@@ -158,7 +158,7 @@ def away_from_reversals(qd: Signals, margin: int) -> Bool[np.ndarray, "samples j
     **Arguments**
 
     - `qd`: velocities, shape `(samples, joints)`.
-    - `margin`: how many samples on either side of a reversal are left out; 0 leaves none out.
+    - `margin`: how many samples on either side of a reversal are excluded; 0 excludes none.
 
     **Returns**
 

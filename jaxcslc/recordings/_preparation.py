@@ -186,14 +186,14 @@ class Preparation:
       recording, by linear interpolation.
     - `smooth_torque`: smooth the aligned torque by the filter of the positions.
     - `threshold_fraction`: of each joint's greatest speed, below which static friction is taken
-      to matter and pairs are left out (Section 7.2.2); one for all joints or one for each. None
+      to matter and pairs are excluded (Section 7.2.2); one for all joints or one for each. None
       stands for `DEFAULT_THRESHOLD_FRACTION`, and for a tenth of it at joints whose network has a
       term of static friction: see `with_static_friction`.
     - `thresholds`: these speeds themselves, one for all joints or one for each [rad/s or m/s], in
       place of `threshold_fraction`; or None.
-    - `backlash`: leave out the pairs that may be in backlash (Eqn 2.5-7), up to half of them. For
+    - `backlash`: exclude the pairs that may be in backlash (Eqn 2.5-7), up to half of them. For
       transmissions that have it.
-    - `reversal_margin`: samples to leave out on either side of each velocity reversal of a joint.
+    - `reversal_margin`: samples to exclude on either side of each velocity reversal of a joint.
     - `trim`: samples to drop at both ends; by default as far as the smoothing reaches or the
       torque lags.
 
@@ -411,7 +411,7 @@ class Preparation:
         >>> slow = fine.rows(slice(None, None, 2))
         >>> jc.Preparation().check(slow, jc.recordings.Sampling.of(fine))
         ('sampled every 4 ms, 2 ms where the settings were chosen: averaged splines of 9 samples \
-reach over 36 ms to either side in place of 18 ms',)
+reach over 36 ms to either side instead of 18 ms',)
         """
         sampling = Sampling.of(recording)
         sentences: list[str] = []

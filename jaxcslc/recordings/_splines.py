@@ -376,7 +376,7 @@ def _smooth_joint(
         _add_cubics(average, cubics, time - origin)
     average /= spacing
     if reversals:
-        # Rounding noise of a joint that hardly moves must not turn it round within a section.
+        # Rounding noise of a joint that barely moves must not turn it round within a section.
         directions = np.array([-reversals[0].direction, *(turn.direction for turn in reversals)])
         average[1, directions[section] * average[1] < 0.0] = 0.0
     return average
@@ -494,7 +494,7 @@ def left_out_error(
     """
     spacings = np.array(smoothing.spacings(position.shape[1]), dtype=np.float64)
     if np.any(spacings < 2):
-        raise ValueError(f"spacing is {smoothing.spacing}; expected 2 samples or more to leave out")
+        raise ValueError(f"spacing is {smoothing.spacing}; expected 2 samples or more to hold out")
     q, _, _ = smoothing.smooth(time, position)
     residual = np.sqrt(np.mean((position - q) ** 2, axis=0))
     return residual * spacings / (spacings - 1.0)
@@ -515,12 +515,12 @@ def choose_spacing(
 ) -> tuple[int, ...]:
     r"""Choose the spacing of averaged splines for each joint, from positions and resolution alone.
 
-    The left-out error falls slowly with the spacing while there is noise to average, and rises
+    This cross-validation error falls slowly with the spacing while noise is averaged, and rises
     steeply once the motion itself is smoothed away. Accelerations suffer more from noise than
     positions do, so what is best for them is the widest spacing that takes next to nothing from
     the motion.
 
-    *Next to nothing* is measured by the encoder's resolution. With $e_j$ the left-out error of
+    *Next to nothing* is measured by the encoder's resolution. With $e_j$ this error of
     spacing j and σ the deviation of the noise, at least a count's $1/\sqrt{12}$, the choice is the
     widest candidate with
 
@@ -534,7 +534,7 @@ def choose_spacing(
     - `time`: instants of the samples, shape `(samples,)` [s].
     - `position`: joint positions, shape `(samples, joints)` [rad or m].
     - `candidates`: spacings to choose from, each of 2 or more [samples].
-    - `slack`: how much more left-out error than the least the choice may have, as part of the
+    - `slack`: how much more of this error than the least the choice may have, as part of the
         noise.
     - `sections`: as of `AveragedSplines`.
     - `resolution`: of the encoders, where known, of all joints or of each [rad or m]: the noise

@@ -32,7 +32,7 @@ from ._selection import choose_settings
 
 OFFSET = "offset"
 # In the order in which they are tried: a constant decides more, on real arms, than all others.
-# Friction that differs between directions is viscous and dry: tried one by one, either makes up for
+# Friction that differs between directions is viscous and dry: tried one by one, either compensates
 # the other.
 FRICTION_CANDIDATES = (
     OFFSET,
@@ -50,7 +50,7 @@ _REPLACES = {"asymmetric_viscous": "viscous"}
 # An offset is told from gravity if its standard error is at most this part of the joint's dry
 # friction, or if it is so many standard errors from 0.
 _OFFSET_ERROR, _OFFSET_SIGNIFICANT = 0.1, 5.0
-# Two terms together are used in place of one if the logarithm of errors is smaller by this.
+# Two terms together are used instead of one if the logarithm of errors is smaller by this.
 _GAIN_OF_SECOND = 0.01
 # What trials of a state of dry friction are called (`fit_pre_sliding`).
 PRE_SLIDING = "pre-sliding"
@@ -179,9 +179,9 @@ class FrictionChoice:
         """Add static friction to every joint whose dry friction follows the sign of velocity.
 
         Smoothed reversals, which trials are judged on, do not show it. An estimator without a
-        smoothing sees it, and without it makes up for it by gravity and dry friction. Where a state
+        smoothing sees it, and without it gravity and dry friction absorb it. Where a state
         of dry friction is used, that is what friction before sliding is: static friction beside it
-        would make up for errors of its length.
+        would absorb errors of its length.
         """
         kinds = self.network.friction_per_joint
         yielding = {
@@ -222,7 +222,7 @@ def choose_friction(
     """Friction terms that predict motion better that was not fitted, joint by joint.
 
     Starts with the network's terms. In each round every candidate is added to all joints that lack
-    it, and a joint gets the one that makes its error smallest on stretches that were left out of
+    it, and a joint gets the one that makes its error smallest on stretches held out of
     the fit, if it falls by 1 % at least and by more than chance explains (Student's t over the
     stretches, one-sided, at 5 % divided by the number of candidates); until no joint gets another.
     On motion that differs from what was fitted its error must not rise: slow or fast motion,
@@ -405,7 +405,7 @@ class _Judge:
     def held_out(self, network: CSLC) -> _HeldOut:
         """Judge a network's friction.
 
-        Fits are of the pairs that masks leave in; judged are all that move. Judged over the former
+        Fits are of the pairs that masks keep; judged are all that move. Judged over the former
         alone, a KUKA KR300's joint 5 got a quadratic term, 33 % better there, with which two other
         motions are predicted 7 % worse.
 

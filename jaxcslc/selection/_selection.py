@@ -303,7 +303,7 @@ def choose_settings(
     lower the score by a fifth: some forty trials instead of the full product. It is deterministic.
 
     Which torque belongs to a sample shows in the score only where it is small: viscous friction
-    makes up for half a sample. Unless one alignment lowers the score by a tenth, the lag between
+    absorbs half a sample. Unless one alignment lowers the score by a tenth, the lag between
     motion and torque is estimated with its interval (`estimate_torque_lag`), and an alignment that
     explains it ten times as well as the recording's convention replaces that.
 

@@ -166,7 +166,7 @@ def cross_validated_error(
 ) -> HeldOut:
     """Compute the error of fits to all but one stretch of a recording on that stretch.
 
-    Each stretch is left out in turn.
+    Each stretch is held out in turn.
 
     For when there is no other recording. The limit is that of `held_out_error`.
 

@@ -500,7 +500,7 @@ def _weights(
     """Return weights per joint and recording: RMS of the noise of all over that of its own.
 
     A recording's own noise is its RMS residual, and no less than what a fit can hide of what is
-    usual of that joint in all recordings (`hidden_noise`). So a joint that hardly moves in one
+    usual of that joint in all recordings (`hidden_noise`). So a joint that barely moves in one
     recording, where few equations follow any torque, has no more weight there than elsewhere.
     """
     noise = {name: some.rms(fit) for name, some in equations.items()}

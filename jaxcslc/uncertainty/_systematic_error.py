@@ -230,7 +230,7 @@ def systematic_error(
       that are then fitted from those that made the torque. (Motion that the first smoothing has
       removed altogether, it does not see.)
     - **Torque timing.** The torque of a sample may be half a sample late or early: alignments are
-      half a sample apart, and other terms make up for a wrong one (a late inertia torque is
+      half a sample apart, and other terms absorb a wrong one (a late inertia torque is
       viscous friction). The part is what the coefficients change by if the torque of the smoothed
       motion comes half a sample late, divided by √3: any delay up to that is as likely (JCGM
       100:2008, 4.3.7).

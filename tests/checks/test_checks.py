@@ -325,8 +325,8 @@ def test_a_cause_explains_the_warnings_of_a_fit(arm: jc.CSLC, clean: jc.Recordin
     """Degrees: one warning names them, and none the torque errors that they bring about."""
     degrees = changed(clean, position=np.degrees(clean.position))
     report = jc.identify(arm, degrees, settings=jc.Settings(), systematic=False)
-    (warning,) = [sentence for sentence in report.warnings if "left out" in sentence]
-    assert "positions are in degrees" in warning and "mend that first" in warning
+    (warning,) = [sentence for sentence in report.warnings if "omitted" in sentence]
+    assert "positions are in degrees" in warning and "fix that first" in warning
     assert not any("variance" in sentence for sentence in report.warnings)
     unchecked = jc.identify(arm, degrees, settings=jc.Settings(), systematic=False, checks=False)
     assert any("variance" in sentence for sentence in unchecked.warnings)

@@ -53,7 +53,7 @@ def test_repeated_messages_and_missing_stamps_are_said(motion: Recording, tmp_pa
     np.testing.assert_allclose(read.time, motion.time, rtol=0, atol=1e-12)
     assert read.notes == (
         "messages of /joint_states have no stamps: times are those of arrival",
-        "2 messages that repeat the one before are left out",
+        "2 messages that repeat the one before are skipped",
     )
 
 

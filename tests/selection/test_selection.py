@@ -316,7 +316,7 @@ def test_settings_name_what_differs_in_another_recording(
     )
     (slow,) = settings.check(read(1e-4).rows(slice(None, None, 2)))
     assert slow.startswith("sampled every 4 ms, 2 ms where the settings were chosen: averaged")
-    assert slow.endswith("reach over 68 ms to either side in place of 34 ms")
+    assert slow.endswith("reach over 68 ms to either side instead of 34 ms")
     kept = rng.uniform(size=recording.samples) < 0.9
     irregular, filtered = settings.check(read(1e-4).rows(kept))
     assert irregular.startswith("irregular time stamps: intervals differ from their median by")

@@ -79,7 +79,7 @@ class JointStates:
         for array in arrays.values():
             again[1:] &= np.all(array[1:] == array[:-1], axis=1)
         if again.any():
-            notes.append(f"{again.sum()} messages that repeat the one before are left out")
+            notes.append(f"{again.sum()} messages that repeat the one before are skipped")
         columns = {"time [ns]": time[~again]}
         for kind, array in arrays.items():
             columns |= {f"{kind}_{name}": array[~again, i] for i, name in enumerate(self.names)}
@@ -163,7 +163,7 @@ def read_commanded_bag(
       default the only one.
 
     **Returns** columns `time [ns]`, `position_NAME`, `command_NAME` and, where messages have them,
-    `velocity_NAME` and, of efforts, `current_NAME`. States before the first command are left out.
+    `velocity_NAME` and, of efforts, `current_NAME`. States before the first command are skipped.
 
     **Raises** `RecordingError`: as `read_bag`, and for commands that are missing, ambiguous or of
     other joints.
@@ -191,7 +191,7 @@ def read_commanded_bag(
         )
     notes = list(header.notes)
     if not started.all():
-        notes.append(f"{(~started).sum()} joint states before the first command are left out")
+        notes.append(f"{(~started).sum()} joint states before the first command are skipped")
     positions = np.stack([columns[f"position_{name}"] for name in commands.names], axis=1)
     values = commands.sampled(time[started], positions[started])
     kinds = {"position": "position", "velocity": "velocity", "effort": "current"}

@@ -204,7 +204,7 @@ def _named_layout(
     """Return the layout of a file whose column names say quantity, joint and, in brackets, unit.
 
     As in `t [ms],q_shoulder [deg],tau_shoulder [N m]`: SI units where a name has none. Columns
-    without a quantity's name are left out, and a note says so.
+    without a quantity's name are skipped, and a note says so.
     """
     times = [column for column in columns if column.quantity == "time" and not column.joint]
     if len(times) != 1:

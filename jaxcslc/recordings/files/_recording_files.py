@@ -223,7 +223,7 @@ def iterate_recording(
     **Raises**
 
     - `ValueError`: chunks of less than one row.
-    - `RecordingError`: as `load_recording`, but for its least number of samples: any row will
+    - `RecordingError`: as `load_recording`, except for its least number of samples: any row will
         do. Faults of rows and cells are raised by the iterator when it comes to them.
 
     >>> import pathlib, tempfile

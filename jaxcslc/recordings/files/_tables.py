@@ -171,7 +171,7 @@ def write_tables(tables: Iterable[Table], unfinished: Path, path: Path) -> None:
     with contextlib.ExitStack() as stack:
         file = stack.enter_context(unfinished.open("wb"))
         if unfinished.suffix.lower() == ".parquet":
-            # Measured values hardly ever repeat: a dictionary of them would only be dropped again.
+            # Measured values almost never repeat: a dictionary of them would only be dropped again.
             writer = pq.ParquetWriter(file, first.schema, use_dictionary=False)
         else:
             unquoted = pacsv.WriteOptions(quoting_header="none")

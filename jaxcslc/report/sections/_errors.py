@@ -22,7 +22,7 @@ from .._section import AbstractSection, AnyReport, listed, open_errors, validati
 
 
 # A model that explains less than half of the variance of a joint's training torque is not one of
-# this joint. (A good model may explain less of a validation torque that hardly changes.)
+# this joint. (A good model may explain less of a validation torque that barely changes.)
 _LEAST_R_SQUARED = 0.5
 # Errors in % of a joint's RMS torque.
 _SMALL, _LARGE = 10.0, 50.0

@@ -138,7 +138,7 @@ def prune(
     >>> import jax.numpy as jnp, numpy as np
     >>> from scripts.studies.generalisation.pruning import LinkEnds, prune
     >>> x = np.linspace(-1.0, 1.0, 50)
-    >>> def cost(w):  # two hidden nodes; the second hardly reaches the output
+    >>> def cost(w):  # two hidden nodes; the second barely reaches the output
     ...     return jnp.mean((w[2] * jnp.tanh(w[0] * x) + w[3] * jnp.tanh(w[1] * x) - x) ** 2)
     >>> links = LinkEnds(source=np.array([0, 0, 1, 2]), target=np.array([1, 2, 3, 3]))
     >>> pruned = prune(cost, np.array([0.5, 1.0, 2.0, 1e-4]), links)
