@@ -12,6 +12,19 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 
+def number_text(value: float, digits: int = 4) -> str:
+    """A number as text; what has no bound is ∞, and what has no value is empty.
+
+    >>> number_text(0.12345), number_text(-math.inf), number_text(math.nan)
+    ('0.1235', '-∞', '')
+    """
+    if math.isnan(value):
+        return ""
+    if math.isinf(value):
+        return "∞" if value > 0 else "-∞"
+    return f"{value:.{digits}g}"
+
+
 def text_table(
     header: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequence[str] = ()
 ) -> str:

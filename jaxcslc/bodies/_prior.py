@@ -67,7 +67,7 @@ class Known:
         if not self.low < self.high:
             raise ValueError(f"low: expected less than high, got {self.low} and {self.high}")
         if self.value is not None and not self.low <= self.value <= self.high:
-            raise ValueError(f"value: expected from {self.low} to {self.high}, got {self.value}")
+            raise ValueError(f"value: expected a number {self._bounds}, got {self.value}")
 
     @property
     def fixed(self) -> bool:
@@ -81,13 +81,17 @@ class Known:
         return known | ({"error": self.error} if self.error else {})
 
     def __str__(self) -> str:
-        bounds = ""
-        if self.low > -math.inf or self.high < math.inf:
-            bounds = f"from {self.low:g} to {self.high:g}"
         if self.value is None:
-            return bounds
+            return self._bounds
         value = f"fixed at {self.value:g}" if self.fixed else f"{self.value:g} ± {self.error:g}"
-        return f"{value}, {bounds}" if bounds else value
+        return f"{value}, {self._bounds}" if self._bounds else value
+
+    @property
+    def _bounds(self) -> str:
+        if self.low == -math.inf:
+            return "" if self.high == math.inf else f"at most {self.high:g}"
+        least = f"at least {self.low:g}"
+        return least if self.high == math.inf else f"from {self.low:g} to {self.high:g}"
 
 
 class LinkKnowledge(NamedTuple):

@@ -5,6 +5,7 @@ see `_evidence`; recordings are compared with the first by its coefficients.
 """
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -13,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._rank import numerical_rank
+from .._text_table import number_text
 from ..least_squares import HostColumns, LeastSquares, regressor_of, reidentify, torque_by
 from ..network import CSLC
 from ..recordings import Patterns, Preparation, Recording, noise_level
@@ -440,7 +442,7 @@ def _excitation(evidence: Evidence) -> tuple[list[Finding], str]:
     rank, duration = int(fit.rank), float(evidence.time[-1] - evidence.time[0])
     text = (
         f"excitation: {duration:.3g} s determine {rank} of {network.size} coefficients, condition"
-        f" {float(fit.condition):.3g}"
+        f" {number_text(float(fit.condition) if rank else math.inf, 3)}"
     )
     # Coefficients of a joint that stands still are undetermined, which is said elsewhere.
     whole = rank == _determinable(network)

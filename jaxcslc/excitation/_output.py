@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._scratch import all_together
-from .._text_table import csv_line
+from .._text_table import csv_line, number_text
 from ..codegen import comment_text, identifier
 from ..manipulator import joint_lines, link_poses
 from ..network import CSLC
@@ -107,8 +107,8 @@ class Design:
         lines = [
             f"{self.network.name}: {self.family.duration:g} s, {self.family.description}",
             f"{self.criterion} ({EXPLANATIONS[self.criterion]}): {self.value:.4g}",
-            f"condition number {self.prediction.condition:.4g}, of columns of unit length"
-            f" {self.prediction.scaled_condition:.4g}",
+            f"condition number {number_text(self.prediction.condition)}, of columns of unit length"
+            f" {number_text(self.prediction.scaled_condition)}",
         ]
         if self.relative_errors():
             median, largest = _median_and_worst(self)
@@ -204,8 +204,8 @@ def _predicted(design: Design) -> Section:
     lead = (
         f"Designed for: {design.criterion}, {EXPLANATIONS[design.criterion]}; reached"
         f" {design.value:.4g}. The condition number of the regressor is"
-        f" {prediction.condition:.4g}, with columns of unit length"
-        f" {prediction.scaled_condition:.4g}."
+        f" {number_text(prediction.condition)}, with columns of unit length"
+        f" {number_text(prediction.scaled_condition)}."
     )
     return Section("Predicted errors", lead, (Table(columns, rows, name="predicted"),))
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._text_table import text_table
+from .._text_table import number_text, text_table
 from ..bodies import DECIDED
 from ..derivation import Coefficient
 from ..least_squares import Identification
@@ -324,7 +324,10 @@ def verdicts(
         elif not determined[i]:
             kind, reason = "not determined", combinations[name]
         elif meaningless:
-            kind, reason = "poorly determined", f"condition number {float(fit.condition):.2g}"
+            kind, reason = (
+                "poorly determined",
+                f"condition number {number_text(float(fit.condition), 2)}",
+            )
         elif coefficient.positive and high < 0.0:
             kind, reason = "wrong sign", "positive for every physically consistent robot"
         elif low <= 0.0 <= high:
@@ -401,7 +404,7 @@ class CoefficientRow(dict[str, str | float | bool]):
         low, high = self.interval
         return (
             f"{self['name']} = {self.value:.4g} {self.unit},"
-            f" 95 % interval {low:.4g} to {high:.4g}, {self.verdict}"
+            f" 95 % interval {number_text(low)} to {number_text(high)}, {self.verdict}"
         )
 
 
@@ -537,6 +540,6 @@ def coefficient_text(rows: list[dict[str, str | float | bool]]) -> str:
 def _cell(value: str | float | bool, longest: int = 0) -> str:
     """The text of a cell, cut where it has more than `longest` characters; 0 for any number."""
     if isinstance(value, float):
-        return f"{value:.4g}"
+        return number_text(value)
     text = str(value)
     return text[: longest - 2] + " …" if 0 < longest < len(text) else text

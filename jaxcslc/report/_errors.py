@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._environment import array_namespace, require
-from .._text_table import text_table
+from .._text_table import number_text, text_table
 from ..friction import has_states
 from ..least_squares import (
     MEANINGLESS_CONDITION,
@@ -269,7 +269,7 @@ def condition_warning(fit: Identification) -> Iterator[str]:
     """A sentence about a condition number that makes every coefficient meaningless."""
     if not bool(fit.meaningful):
         yield (
-            f"condition number {float(fit.condition):.2g} exceeds {MEANINGLESS_CONDITION:.0g}: no"
-            " coefficient is well determined, whatever its standard error; use a motion that"
-            " excites more, or fewer terms"
+            f"condition number {number_text(float(fit.condition), 2)} exceeds"
+            f" {MEANINGLESS_CONDITION:.0g}: no coefficient is well determined, whatever its"
+            " standard error; use a motion that excites more, or fewer terms"
         )

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from .._environment import require
+from .._text_table import number_text
 
 
 if TYPE_CHECKING:
@@ -133,12 +134,8 @@ class Column:
             return ""
         if not isinstance(value, float):
             return str(value)
-        if math.isinf(value):
-            return "∞" if value > 0 else "-∞"
-        if math.isnan(value):
-            return ""
-        if self.decimals is None:
-            return f"{value:.{self.digits}g}"
+        if self.decimals is None or not math.isfinite(value):
+            return number_text(value, self.digits)
         text = f"{value:.{self.decimals}f}"
         return text.removeprefix("-") if float(text) == 0 else text
 

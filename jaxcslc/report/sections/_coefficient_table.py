@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxcslc._environment import as_jax
+from jaxcslc._text_table import number_text
 from jaxcslc.least_squares import Identification
 from jaxcslc.uncertainty import SystematicError
 
@@ -197,7 +198,8 @@ class ExcitationSection(AbstractSection):
             if systematic is None
             else ("; systematic: possible shift, which more data of this motion do not reduce")
         )
-        text = f"rank {int(fit.rank)} of {fitted}, condition number {float(fit.condition):.4g}"
+        condition = number_text(float(fit.condition))
+        text = f"rank {int(fit.rank)} of {fitted}, condition number {condition}"
         if "least_determined" in self.data:
             text += f"; least determined: {readable(self.data['least_determined'])}"
         yield [
