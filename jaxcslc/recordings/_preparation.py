@@ -427,8 +427,8 @@ reach over 36 ms to either side instead of 18 ms',)
             sentences.append(
                 f"sampled every {1e3 * sampling.interval:.3g} ms,"
                 f" {1e3 * chosen_on.interval:.3g} ms where the settings were chosen:"
-                f" {self.smoothing.description} reach over {1e3 * span:.3g} ms to either side in"
-                f" place of {1e3 * chosen_span:.3g} ms"
+                f" {self.smoothing.description} reach over {1e3 * span:.3g} ms to either side"
+                f" instead of {1e3 * chosen_span:.3g} ms"
             )
         return (*sentences, *sampling.coarser_than(chosen_on))
 
