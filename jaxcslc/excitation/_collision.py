@@ -1,10 +1,11 @@
 """Distances of a robot's bodies from each other and from obstacles, by MuJoCo.
 
-Shapes come from `_shapes`. The search takes distances as linear about a motion (`Contacts`); the
+Shapes come from `_shapes`. The search takes distances and their slopes on a grid (`contacts`); the
 dense check bounds them at all times (`clearance`).
 """
 
 import dataclasses
+import functools
 from typing import Any
 
 import numpy as np
@@ -21,11 +22,18 @@ from ._shapes import compiled_geometry, listed, random_poses
 
 # Settings of searches. `scripts/studies/excitation/study.py` judges them by what designs reach.
 BESIDE = 0.004  # what a search keeps beside the clearance [m]
-_FAR = 0.15  # how far it looks [m]
-_COARSE, _FINE = 0.02, 0.00125  # first and last interval of the check [s]
+_FAR = 0.15  # how far the check looks beyond the clearance [m]
+_WATCHED = 0.05  # and the search [m]
+_COARSE, _FINE = 0.02, 0.0003125  # first and last interval of the check [s]
 _SAME_POINT = 1e-9  # [m]
 _SLIDE = 2  # mjtJoint.mjJNT_SLIDE
 _ALWAYS = 0.9  # part of random poses; bodies that touch in so many are joined
+
+
+@functools.cache
+def _mujoco() -> Any:
+    """The module, which thousands of poses ask for; raises `MissingExtraError` without it."""
+    return require("mujoco", "urdf")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -68,11 +76,10 @@ class CollisionBodies:
         - `RobotError`: a length without value.
         - `MissingExtraError`: without MuJoCo.
         """
-        mujoco: Any = require("mujoco", "urdf")
         model, joints, floor, notes = compiled_geometry(robot, surroundings)
         pairs = _candidate_pairs(model, surroundings)
         projection = JointProjection.of(robot)
-        none, data = np.zeros(0), mujoco.MjData(model)
+        none, data = np.zeros(0), _mujoco().MjData(model)
         everything = cls(data, joints, projection, pairs, none, np.zeros((0, 0)), none)
         poses = random_poses(model, joints)[:, list(robot.independent_joints)]
         usual, apart = everything._usual_distances(poses, 2.0 * surroundings.clearance + 1e-3)
@@ -90,11 +97,21 @@ class CollisionBodies:
 
     def _placed(self, q: Float[np.ndarray, " joints"]) -> None:
         """Set the pose of `data`."""
-        mujoco: Any = require("mujoco", "urdf")
         data, model = self.data, self.data.model
         positions = q if self.projection is None else self.projection.positions(q)
         data.qpos[model.jnt_qposadr[self.joints]] = positions
-        mujoco.mj_kinematics(model, data)
+        _mujoco().mj_kinematics(model, data)
+
+    @functools.cached_property
+    def _reach(self) -> Float[np.ndarray, " pairs"]:
+        """Sum of the radii about both geometries of each pair [m]; planes have none."""
+        bound = np.where(self.data.model.geom_rbound > 0, self.data.model.geom_rbound, np.inf)
+        return bound[self.pairs].sum(1)
+
+    @functools.cached_property
+    def _numbers(self) -> list[tuple[int, int]]:
+        """Geometries of each pair, as MuJoCo takes them."""
+        return [(int(a), int(b)) for a, b in self.pairs]
 
     def distances(
         self, q: Float[np.ndarray, " joints"], farthest: float
@@ -103,50 +120,71 @@ class CollisionBodies:
 
         `data` is then that of the pose.
         """
-        mujoco: Any = require("mujoco", "urdf")
         data, model = self.data, self.data.model
         self._placed(q)
-        first, second = self.pairs.T
-        gap = np.linalg.norm(data.geom_xpos[first] - data.geom_xpos[second], axis=1)
-        bound = np.where(model.geom_rbound > 0, model.geom_rbound, np.inf)  # planes have no bound
-        gap -= bound[first] + bound[second]
+        place = data.geom_xpos
+        apart = place[self.pairs[:, 0]] - place[self.pairs[:, 1]]
+        near = np.einsum("pi,pi->p", apart, apart) < (farthest + self._reach) ** 2
         distance, ends = np.full(len(self.pairs), farthest), np.zeros((len(self.pairs), 6))
-        for i in np.flatnonzero(gap < farthest):
-            a, b = (int(g) for g in self.pairs[i])
-            distance[i] = mujoco.mj_geomDistance(model, data, a, b, farthest, ends[i])
+        measure, numbers = _mujoco().mj_geomDistance, self._numbers
+        for i in near.nonzero()[0].tolist():
+            distance[i] = measure(model, data, *numbers[i], farthest, ends[i])
         return distance, ends
 
-    def contacts(self, q: Float[np.ndarray, "samples joints"], beside: float = BESIDE) -> Contacts:
-        """Return the smallest distances and their slopes along a motion on a grid.
+    def contacts(
+        self,
+        q: Float[np.ndarray, "samples joints"],
+        held: Contacts | None = None,
+        *,
+        every: int = 1,
+        beside: float = BESIDE,
+    ) -> Contacts:
+        """Return distances with their slopes along a motion on a grid, where they count.
+
+        They count where they are too small, or have a multiplier.
 
         **Arguments**
 
         - `q`: positions on the grid.
-        - `beside`: is kept in addition to the clearance [m].
+        - `held`: contacts with multipliers, of an earlier motion.
+        - `every`: number of samples from one that is looked at to the next.
+        - `beside`: is kept in addition to the clearance [m], at most that once more.
         """
         data, joints = self.data, self.joints
-        poses = [
-            (*self.distances(pose, _FAR), data.xaxis[joints], data.xanchor[joints]) for pose in q
-        ]
-        distance, ends, axes, anchors = (np.stack(part) for part in zip(*poses, strict=True))
-        beyond = distance - self.wanted - self.wanted / self.wanted.max() * beside
-        way = ends[..., 3:] - ends[..., :3]
-        length = np.linalg.norm(way, axis=-1)
-        near = np.argwhere((distance < _FAR) & (length > _SAME_POINT))
-        near = near[np.argsort(beyond[tuple(near.T)])][:CONTACTS]
-        sample, pair = near.T
-        sign = np.where(distance[sample, pair] < 0.0, -1.0, 1.0)
-        direction = (sign / length[sample, pair])[:, None] * way[sample, pair]
-        axis, anchor = axes[sample], anchors[sample]
-        slides = data.model.jnt_type[joints] == _SLIDE
-        jacobian = np.zeros((len(sample), len(joints)))
-        for body, point in enumerate(np.split(ends[sample, pair], 2, axis=1)):
-            velocity = np.where(slides[:, None], axis, np.cross(axis, point[:, None] - anchor))
-            towards = np.einsum("cja,ca->cj", velocity, direction)
-            jacobian += (-1.0, 1.0)[body] * self.carried[pair, body] * towards
+        multiplier = np.zeros((len(q), len(self.pairs)))
+        if held is not None:
+            kept = held.multiplier > 0.0
+            multiplier[held.sample[kept], held.pair[kept]] = held.multiplier[kept]
+        parts: list[tuple[np.ndarray, ...]] = []
+        wanted = self.wanted + np.minimum(np.abs(self.wanted), beside)
+        farthest = float(wanted.max()) + _WATCHED
+        for sample in range(0, len(q), every):
+            distance, ends = self.distances(q[sample], farthest)
+            counts = (distance < wanted) | (multiplier[sample] > 0.0)
+            if not counts.any():
+                continue
+            way = ends[:, 3:] - ends[:, :3]
+            length = np.linalg.norm(way, axis=-1)
+            pair = np.flatnonzero(counts & (length > _SAME_POINT))
+            sign = np.where(distance[pair] < 0.0, -1.0, 1.0)
+            direction = (sign / length[pair])[:, None] * way[pair]
+            slides = data.model.jnt_type[joints] == _SLIDE
+            axis, anchor = data.xaxis[joints], data.xanchor[joints]
+            jacobian = np.zeros((len(pair), len(joints)))
+            for body, point in enumerate(np.split(ends[pair], 2, axis=1)):
+                velocity = np.where(slides[:, None], axis, np.cross(axis, point[:, None] - anchor))
+                towards = np.einsum("cja,ca->cj", velocity, direction)
+                jacobian += (-1.0, 1.0)[body] * self.carried[pair, body] * towards
+            beyond = (distance - wanted)[pair]
+            parts.append((np.full(len(pair), sample), pair, beyond, jacobian))
+        if not parts:
+            return padded_contacts(q.shape[1])
+        sample, pair, beyond, jacobian = (np.concatenate(x) for x in zip(*parts, strict=True))
+        first = np.argsort(beyond, kind="stable")[:CONTACTS]
+        sample, pair, beyond, jacobian = (x[first] for x in (sample, pair, beyond, jacobian))
         if self.projection is not None:
             jacobian = jacobian @ np.array(self.projection.matrix)
-        found = Contacts(sample, beyond[sample, pair], jacobian, q[sample])
+        found = Contacts(sample, pair, beyond, jacobian, q[sample], multiplier[sample, pair])
         return padded_contacts(q.shape[1], found)
 
     def clearance(self, family: AbstractFamily, parameters: Parameters) -> tuple[float, str]:

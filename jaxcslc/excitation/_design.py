@@ -51,6 +51,7 @@ _KNOT, _HARMONIC, _MOVE = 0.35, 0.6, 1.1  # duration per parameter of each famil
 _COARSEST, _FINEST = 0.04, 0.01  # intervals of the grid that motions are judged on [s]
 _SAMPLES = 1000  # of that grid, between these intervals
 _REPAIRS, _REPAIR_PENALTY = 4, 200.0  # searches after the first; their penalty
+_LOOK = 0.03  # from one look at distances of bodies to the next [s]
 _FURTHER = 1.5  # factor of what is kept beside the clearance, from repair to repair
 _NEAR = 1.002  # of a limit: shrinking by so little costs nothing
 _RESTS = 200  # poses that are tried for a start
@@ -272,7 +273,8 @@ class Planner:
         initial = [random_parameters(self.check, pose, rng, spread) for _ in range(effort.starts)]
         interrupted = False
         bodies = self.bodies
-        search = Search(self.problem, bodies and bodies.contacts)
+        every = max(1, round(_LOOK / float(self.time[1])))
+        search = Search(self.problem, bodies and functools.partial(bodies.contacts, every=every))
         best, least = self.problem.variables(initial[0]), np.inf
         try:
             for number, parameters in enumerate(initial, 1):
@@ -305,7 +307,8 @@ class Planner:
         """Search once more from where a search ended, with limits a little narrower.
 
         The dense check finds which limits the motion exceeds between the search's samples. Where
-        linear distances were not enough, other bodies are kept a little further away.
+        bodies are too near between looks at distances, it looks at every sample, and keeps them a
+        little further away.
         """
         bodies, beside = self.bodies, BESIDE
         for _ in range(_REPAIRS):
@@ -319,7 +322,7 @@ class Planner:
                 beside *= _FURTHER
                 search.contacts = functools.partial(bodies.contacts, beside=beside)
             x = self.problem.variables(parameters)
-            search.run(x, 2, steps, _REPAIR_PENALTY, search.multipliers)
+            search.run(x, 2, max(steps // 3, 5), _REPAIR_PENALTY, warm=True)
 
     def _of_variables(self, x: Any) -> Parameters:
         return np.asarray(self.problem.parameters(jnp.asarray(x)))

@@ -1,6 +1,7 @@
 """Search for the best motion: an augmented Lagrangian with L-BFGS steps."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -22,22 +23,28 @@ from ._limits import QUANTITIES, Joints, Limits
 _INSIDE = 0.996  # part of limits that is used, for what happens between samples
 _BEYOND = 1.001  # by which narrowed limits keep back more
 _FIRST_PENALTY, _PENALTY_GROWTH, _LARGEST_PENALTY = 3.0, 4.0, 3e3  # of the Lagrangian
+# A round that changes the criterion by no more, and exceeds limits by no more, is the last.
+_SETTLED, _KEPT = 0.01, 0.001
 _NOWHERE = 1e10  # value where the Lagrangian is no number
 
 
 class Contacts(NamedTuple):
-    """Distances of bodies, linear in positions about a motion: d + J (q(t) - q0(t)) ≥ clearance.
+    """Distances of bodies that count in a motion q0(t): d + J (q(t) - q0(t)) ≥ clearance.
 
     **Attributes**
 
-    - `sample`: (c,) of the grid; `distance`: (c,) beyond the clearance there [m].
+    - `sample`: (c,) of the grid, and `pair`: (c,) of bodies.
+    - `distance`: (c,) beyond the clearance there [m].
     - `jacobian`: (c, n) of the distance [m/rad]; `position`: (c, n) q0.
+    - `multiplier`: (c,) Lagrange multipliers of these samples and pairs.
     """
 
     sample: Int[np.ndarray, " contacts"]
+    pair: Int[np.ndarray, " contacts"]
     distance: Float[np.ndarray, " contacts"]
     jacobian: Float[np.ndarray, "contacts joints"]
     position: Float[np.ndarray, "contacts joints"]
+    multiplier: Float[np.ndarray, " contacts"]
 
 
 class Multipliers(NamedTuple):
@@ -237,17 +244,20 @@ class Search:
     **Attributes**
 
     - `problem`: to be minimised.
-    - `contacts`: distances about a motion `q` (samples, n), or None where no bodies are watched.
+    - `contacts`: distances of bodies in a motion (samples, n), with multipliers of earlier ones.
+      Every step asks for them, as an arm may reach in one step what was far away. None where no
+      bodies are watched.
     - `progress`: is called with a few words.
     - `best`: the variables that the search has reached, after an interruption too.
-    - `multipliers`: that the last run ended with.
+    - `multipliers`, `held`: that the last run ended with, and the contacts that have multipliers.
     """
 
     problem: DesignProblem
-    contacts: Callable[[Float[np.ndarray, "samples joints"]], Contacts] | None = None
+    contacts: Callable[[Float[np.ndarray, "samples joints"], Contacts], Contacts] | None = None
     progress: Callable[[str], None] | None = None
     best: Float[np.ndarray, " variables"] | None = None
     multipliers: Multipliers | None = None
+    held: Contacts | None = None
 
     def run(
         self,
@@ -255,35 +265,42 @@ class Search:
         rounds: int,
         steps: int,
         penalty: float = _FIRST_PENALTY,
-        multipliers: Multipliers | None = None,
+        *,
+        warm: bool = False,
     ) -> float:
         """Minimise from `x`, by rounds of multipliers with so many steps each.
 
-        Multipliers begin at zero if none are passed. The penalty grows from round to round.
+        Multipliers begin at zero, or with `warm` at those of the last run. The penalty grows from
+        round to round.
 
         **Returns** the logarithm of the criterion at the end, which limits may still not allow.
         """
         problem = self.problem
         samples, n = problem.basis.shape[1], problem.unit.shape[1]
-        multipliers = multipliers or Multipliers(
+        multipliers = (warm and self.multipliers) or Multipliers(
             jnp.zeros((4, samples, n)),
             jnp.zeros((samples, n)),
             jnp.zeros((samples, n)),
             jnp.zeros(CONTACTS),
         )
-        objective = np.inf
+        objective = before = np.inf
         self.best = np.array(x)
+        held = (warm and self.held) or padded_contacts(n)
         for number in range(rounds):
             q, _, _ = problem.motion(self.best)
             spectra = problem.information.spectra(q)
-            contacts = self.contacts(q) if self.contacts else padded_contacts(n)
-            # Contacts are others in each round, and so are their multipliers.
-            multipliers = multipliers._replace(contacts=jnp.zeros(CONTACTS))
-            arguments = (spectra, multipliers, jnp.asarray(penalty), contacts)
 
-            def value(x: np.ndarray, arguments: Any = arguments) -> tuple[float, np.ndarray]:
+            constrained = functools.partial(
+                self._constrained, multipliers=multipliers, penalty=penalty, held=held
+            )
+
+            def value(
+                x: np.ndarray, spectra: Spectra = spectra, constrained: Any = constrained
+            ) -> tuple[float, np.ndarray]:
                 nonlocal objective
-                total, gradient, criterion = _lagrangian(problem, jnp.asarray(x), *arguments)
+                total, gradient, criterion = _lagrangian(
+                    problem, jnp.asarray(x), spectra, *constrained(x)
+                )
                 objective, gradient = float(criterion), np.asarray(gradient, float)
                 if not (np.isfinite(total) and np.isfinite(gradient).all()):
                     return _NOWHERE, np.zeros_like(gradient)
@@ -302,17 +319,35 @@ class Search:
             )
             self.best = np.asarray(result.x)
             regressor = motion_regressor(problem.information.network, *problem.motion(self.best))
-            multipliers, worst = _updated(
-                problem, jnp.asarray(self.best), *arguments[1:], regressor
-            )
-            self.multipliers = multipliers
+            at_end = constrained(self.best)
+            multipliers, worst = _updated(problem, jnp.asarray(self.best), *at_end, regressor)
+            held = at_end[-1]._replace(multiplier=np.asarray(multipliers.contacts))
+            self.multipliers, self.held = multipliers, held
             if self.progress:
                 self.progress(
                     f"round {number + 1} of {rounds}: criterion {np.exp(objective):.4g}, limits"
                     f" exceeded by {100 * max(float(worst), 0.0):.2g} %"
                 )
+            if abs(objective - before) <= _SETTLED and float(worst) <= _KEPT:
+                break
+            before = objective
             penalty = min(penalty * _PENALTY_GROWTH, _LARGEST_PENALTY)
         return objective
+
+    def _constrained(
+        self,
+        x: Float[np.ndarray, " variables"],
+        *,
+        multipliers: Multipliers,
+        penalty: float,
+        held: Contacts,
+    ) -> tuple[Multipliers, Any, Contacts]:
+        """Return multipliers and penalty, and the contacts at `x`; `held`: those of before."""
+        contacts = held
+        if self.contacts is not None:
+            contacts = self.contacts(self.problem.motion(x)[0], held)
+        multipliers = multipliers._replace(contacts=jnp.asarray(contacts.multiplier))
+        return multipliers, jnp.asarray(penalty), contacts
 
 
 def padded_contacts(joints: int, found: Contacts | None = None) -> Contacts:
@@ -320,8 +355,10 @@ def padded_contacts(joints: int, found: Contacts | None = None) -> Contacts:
     missing = CONTACTS - (0 if found is None else len(found.sample))
     far = Contacts(
         np.zeros(missing, int),
+        np.zeros(missing, int),
         np.full(missing, _FAR_AWAY),
         np.zeros((missing, joints)),
         np.zeros((missing, joints)),
+        np.zeros(missing),
     )
     return far if found is None else Contacts(*map(np.concatenate, zip(found, far, strict=True)))
