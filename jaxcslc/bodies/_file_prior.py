@@ -11,16 +11,9 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-from ..least_squares import (
-    FoldFit,
-    HostColumns,
-    Identification,
-    LeastSquares,
-    columns_of,
-    torque_by,
-)
+from ..least_squares import Equations, FoldFit, Identification, LeastSquares
 from ..manipulator import LinkParameters
 from ..network import CSLC
 from ..recordings import Patterns
@@ -430,25 +423,16 @@ def chosen_prior(
     if prior is None:
         return None
     prior = dataclasses.replace(prior, correlation=correlation_of(fit))
-    columns = columns_of(network, patterns)
-    splits = list(_splits(network, patterns, solver, columns))
-    torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
-    variance = _mean_square(torque - torque_by(network.support, columns, np.asarray(fit.k)), mask)
+    equations = solver.equations(network, patterns)
+    splits = list(_splits(patterns, solver, equations))
+    variance = _mean_squares(equations, np.asarray(fit.k))
     scores: dict[float, float] = {}
     if splits:
         for width in _WIDTHS:
-            tried = prior.scaled(width / WIDTH)
+            rows = prior.scaled(width / WIDTH).rows
             errors = [
-                _mean_square(
-                    torque[rows]
-                    - torque_by(
-                        network.support,
-                        tuple(of_joint[:, rows] for of_joint in columns),
-                        with_knowledge(part, {}, tried.rows).k,
-                    ),
-                    mask[rows],
-                )
-                for rows, part in splits
+                _mean_squares(far, np.asarray(with_knowledge(near, {}, rows).k))
+                for far, near in splits
             ]
             scores[width] = float(np.mean([np.log(_ratio(error, variance)) for error in errors]))
         best = min(scores, key=lambda width: scores[width])
@@ -476,25 +460,28 @@ def correlation_of(fit: Identification) -> float:
 
 
 def _splits(
-    network: CSLC, patterns: Patterns, solver: LeastSquares, columns: HostColumns
-) -> Iterator[tuple[Int[np.ndarray, " rows"], FoldFit]]:
-    """Rows that are judged, and the fit of all others; nothing that could not be fitted."""
+    patterns: Patterns, solver: LeastSquares, equations: Equations
+) -> Iterator[tuple[Equations, FoldFit]]:
+    """Equations that are judged, and the fit of all others; nothing that could not be fitted."""
+    solver = dataclasses.replace(solver, errors="independent")
     q, qd = np.asarray(patterns.q), np.asarray(patterns.qd)
     for value in (np.abs(q - np.median(q, axis=0)), np.abs(qd)):
         greatest = np.max(value, axis=0)
         distance = np.max(value / np.where(greatest > 0.0, greatest, 1.0), axis=1)
-        far = (distance > np.median(distance)).astype(int)
-        if len(np.unique(far)) < 2:
+        far = distance > np.median(distance)
+        if np.all(far) or not np.any(far):
             continue
-        near = solver.fits_without_folds(network, patterns, far, columns)[1]
+        fit = solver.fit_equations(equations.selected(~far), len(q), throw=False)
+        near = FoldFit(*map(np.asarray, (fit.k, fit.covariance, fit.undetermined)))
         if np.all(np.isfinite(near.k)) and np.all(np.isfinite(near.covariance)):
-            yield np.flatnonzero(far), near
+            yield equations.selected(far), near
 
 
-def _mean_square(
-    error: Float[np.ndarray, "rows joints"], mask: Bool[np.ndarray, "rows joints"]
+def _mean_squares(
+    equations: Equations, k: Float[np.ndarray, " coefficients"]
 ) -> Float[np.ndarray, " joints"]:
-    return np.sum(np.where(mask, error, 0.0) ** 2, axis=0) / np.maximum(np.sum(mask, axis=0), 1)
+    squares = [float(error @ error) / max(len(error), 1) for error in equations.errors(k)]
+    return np.array(squares)
 
 
 def _ratio(

@@ -52,6 +52,8 @@ class Regression(AbstractEstimator):
         elif problem.load is not None:
             k = problem.load.fit.k
             fit = solver.fit(*linearised(network, k, problem.patterns["training"]))
+        elif problem.alone is not None and problem.part is None:
+            fit = problem.alone
         else:
             fit = solver.fit(network, problem.patterns["training"])
         return Fit(network, fit, np.zeros(network.joint_count), several)

@@ -126,6 +126,7 @@ class Problem:
     - `selection`: how settings were chosen; None if they were given.
     - `slopes`, `load`: fits of static friction and of friction that follows the load.
     - `file`: the robot's file as prior; None without inertia in it, or where it is not asked for.
+    - `alone`: the fit of `judged_patterns` that the file was weighed with; None without.
     - `start`: coefficients that a search starts from.
     - `begun`: waits for fits that another process has begun with (`AbstractEstimator.beside`).
     - `warnings`: about recordings and settings; `notes`: what readers decided.
@@ -143,6 +144,7 @@ class Problem:
     slopes: SlopeFit | None = None
     load: LoadFit | None = None
     file: ChosenPrior | None = None
+    alone: Identification | None = None
     start: Identification | None = None
     begun: Callable[[], Any] | None = None
     warnings: tuple[str, ...] = ()
@@ -354,7 +356,9 @@ def with_file_prior(problem: Problem) -> Problem:
         return problem
     file = chosen_prior(problem.network, patterns, problem.solver, fit)
     warnings = () if file is None else file.weight.warnings
-    return dataclasses.replace(problem, file=file, warnings=(*problem.warnings, *warnings))
+    return dataclasses.replace(
+        problem, file=file, alone=fit, warnings=(*problem.warnings, *warnings)
+    )
 
 
 def with_file_bodies(request: Request, fit: Identification) -> Callable[[Any], Any] | None:

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.stats import t as student
 
 from ._drive import ServoDrive
 from ._recording import ServoRecording
@@ -99,7 +99,7 @@ def _gain(
     scores = np.array([A[blocks == x].T @ rest[blocks == x] for x in labels])
     bread = np.linalg.pinv(A.T @ A)
     covariance = bread @ (scores.T @ scores) @ bread * len(labels) / max(len(labels) - 2, 1)
-    half = float(student.ppf(0.975, max(len(labels) - 2, 1)) * np.sqrt(covariance[1, 1]))
+    half = float(scipy.special.stdtrit(max(len(labels) - 2, 1), 0.975) * np.sqrt(covariance[1, 1]))
     value = float(values[1])
     explained = 1.0 - float(np.var(rest) / np.var(current))
     return CurrentGain(

@@ -18,8 +18,8 @@ from dataclasses import astuple, dataclass
 from typing import Literal
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
-from scipy.signal import savgol_filter
 
 from .._display import Progress, steps as progress_steps
 from ..manipulator import LinkParameters, Manipulator
@@ -274,9 +274,9 @@ def _smoothed(
     window = max(5, 2 * round(0.5 * _SMOOTHING / interval) + 1)
     window = min(window, recording.samples - 1 + recording.samples % 2)
     return tuple(
-        savgol_filter(recording.position, window, 3, deriv=n, delta=interval, axis=0)
+        scipy.signal.savgol_filter(recording.position, window, 3, deriv=n, delta=interval, axis=0)
         if n
-        else savgol_filter(recording.position, window, 3, axis=0)
+        else scipy.signal.savgol_filter(recording.position, window, 3, axis=0)
         for n in range(3)
     )
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from ._drive import DRIVE_UNITS
 from ._search import NAMES, JointProblem
@@ -190,7 +190,7 @@ class Stack:
             at += len(x)
         T = np.array(derivatives)
         covariance = T @ self.covariance @ T.T
-        quantile = float(student.ppf(0.975, max(self.blocks - 1, 1)))
+        quantile = float(stdtrit(max(self.blocks - 1, 1), 0.975))
         parameters: list[ServoParameter] = []
         for (joint, name, value, sure), variance in zip(found, np.diag(covariance), strict=True):
             error = math.sqrt(max(variance, 0.0)) if sure else math.inf

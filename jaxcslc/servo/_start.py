@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
-from scipy.optimize import nnls
 
 from ..manipulator import LinkParameters, Manipulator
 from ._recording import ServoRecording
@@ -135,7 +135,7 @@ class Regression:
         if not math.isnan(self.known[i]):
             first, ratios[0] = 1, 1.0 / self.known[i]
             error = error - ratios[0] * load
-        values, _ = nnls(A[:, first:] / scale[first:], error)
+        values, _ = scipy.optimize.nnls(A[:, first:] / scale[first:], error)
         ratios[first:] = values / scale[first:]
         return ratios, error - A[:, first:] @ ratios[first:]
 
