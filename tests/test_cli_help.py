@@ -98,7 +98,7 @@ def test_wrong_usage_is_one_line() -> None:
     assert usage_error("compare", "a") == "missing B; expected A B"
     assert usage_error("compare", "a", "b", "c") == "unexpected 'c'; expected A B"
     assert usage_error("payload", "panda", "log.csv") == "missing --previous FILE"
-    assert usage_error("example", "kuka") == "ARM: expected panda, puma560, ur5, got 'kuka'"
+    assert usage_error("example", "kuka") == "ARM: expected panda, puma560, so101, ur5, got 'kuka'"
 
 
 def test_options_are_checked_before_files_are_read() -> None:

@@ -47,7 +47,7 @@ class Known:
     >>> print(Known(2.4, 0.1)), print(Known(0.5)), print(Known(low=0.0))
     2.4 ± 0.1
     fixed at 0.5
-    from 0 to inf
+    at least 0
     (None, None, None)
     """
 

@@ -41,6 +41,7 @@ TOLERANCES: Mapping[str, Tolerance] = {
     CLOCK: Tolerance(0.005, "controllers whose cycle is not quite the one that is stated"),
     ZEROS: Tolerance(0.005, "marks and stops that joints are homed to"),
 }
+"""How large faults may be that no recording rules out, by name."""
 # One recording in twenty has a fault beyond its tolerance, of twenty times its size. (Heuristic:
 # data decide unless they say little; a smaller number would take a clear fault for chance.)
 _GROSS, _GROSS_SIZE = 0.05, 20.0

@@ -177,6 +177,23 @@ CHARTS: Mapping[str, Chart] = {
         },
         {"go-to in 3 s": "go-to, 3 s", "circle in 3 s": "circle, 3 s"},
     ),
+    "servo": Chart(
+        "A real SO-101: simulated position error on held-out motion [mrad RMS]",
+        "servo_evidence.md # A real SO-101 |  | {series} | {group}",
+        _same(
+            "joints 1 to 5",
+            "shoulder pan",
+            "shoulder lift",
+            "elbow",
+            "wrist flex",
+            "wrist roll",
+            "gripper",
+        ),
+        {
+            "identified drives": "identified drives",
+            "MuJoCo servos, least squares": "servos of MuJoCo, `scipy.optimize.least_squares`",
+        },
+    ),
     "payload": Chart(
         "Payload of 0.5 kg: detected after [s]",
         "payload_evidence.md # Payload: evidence |  | {series} | {group}",
