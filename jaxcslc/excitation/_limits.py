@@ -87,14 +87,27 @@ class Surroundings:
             if not np.issubdtype(values.dtype, np.number) or not np.isfinite(values).all():
                 raise ValueError(f"surroundings, {name}: expected numbers in m, got {value!r}")
         for name, lengths in (("workspace", (3, 3)), ("boxes", (3, 3)), ("spheres", (3, 1))):
-            entries = table.get(name, [])
+            entries = table.get(name)
+            if entries is None:
+                continue
+            if not isinstance(entries, list | tuple):
+                raise ValueError(f"surroundings, {name}: expected lists, got {entries!r}")
             for entry in [entries] if name == "workspace" and entries else entries:
                 sizes = tuple(np.size(part) for part in entry) if isinstance(entry, list) else ()
-                if sizes != lengths:
+                if sizes != lengths or not all(map(_is_length, np.concatenate(entry, axis=None))):
                     raise ValueError(
                         f"surroundings, {name}: expected {lengths[0]} and {lengths[1]} numbers in"
                         f" m, got {entry!r}"
                     )
+        watched, ignored = table.get("self_collision", True), table.get("ignore", [])
+        if not isinstance(watched, bool):
+            raise ValueError(
+                f"surroundings, self_collision: expected true or false, got {watched!r}"
+            )
+        if not isinstance(ignored, list | tuple) or not all(map(_is_pair_of_names, ignored)):
+            raise ValueError(
+                f"surroundings, ignore: expected pairs of bodies' names, got {ignored!r}"
+            )
         frozen = {name: _frozen(value) for name, value in table.items()}
         if "spheres" in frozen:  # radii as numbers or as lists of one
             frozen["spheres"] = tuple(
@@ -305,6 +318,14 @@ def _unwatchable(robot: Manipulator) -> str:
     if importlib.util.find_spec("mujoco") is None:
         return "MuJoCo is not installed (pip install 'jaxcslc[urdf]')"
     return "" if robot.has_all_lengths else f"lengths of {robot.name!r} have no values"
+
+
+def _is_length(value: Any) -> bool:
+    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
+
+
+def _is_pair_of_names(value: Any) -> bool:
+    return isinstance(value, list | tuple) and [*map(type, value)] == [str, str]
 
 
 def _frozen(value: Any) -> Any:
