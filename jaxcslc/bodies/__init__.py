@@ -52,6 +52,7 @@ from ._physical_parameters import (
 )
 from ._possible_fit import (
     Choice as Choice,
+    InformedFit as InformedFit,
     JudgedPart as JudgedPart,
     PossibleFit as PossibleFit,
     held_out_of_parts as held_out_of_parts,

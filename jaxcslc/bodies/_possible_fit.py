@@ -192,6 +192,19 @@ class JudgedPart(NamedTuple):
         return self.torque - torque_by(self.support, self.columns, np.asarray(k))
 
 
+class InformedFit(NamedTuple):
+    """A fit, and what the robot's file adds to it.
+
+    - `fit`: with the file as prior, if there is one.
+    - `base`: the same without it; `fit` if None.
+    - `file`: the robot's file as prior; None where it is no prior.
+    """
+
+    fit: Identification
+    base: Identification | None = None
+    file: FilePrior | None = None
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class PossibleFit:
     """Physically consistent bodies and the fit that they are nearest to, judged on held-out motion.
@@ -301,7 +314,7 @@ def possible_text(document: Mapping[str, Any]) -> str:
 
 def possible_fit(
     network: CSLC,
-    fit: Identification,
+    informed: InformedFit,
     training: Patterns,
     parts: Sequence[JudgedPart],
     *,
@@ -310,8 +323,6 @@ def possible_fit(
     always: bool = False,
     knowledge: Sequence[LinkKnowledge] = (),
     parameters: PhysicalParameters | None = None,
-    file: FilePrior | None = None,
-    base: Identification | None = None,
     step: Callable[[str], None] = lambda _: None,
 ) -> PossibleFit:
     """The consistent bodies nearest to a fit, and whether they predict torque better than it does.
@@ -324,11 +335,10 @@ def possible_fit(
     - `parts`: two or more, of which `training` consists; `source`: what they are.
     - `systematic`: of the fit, for the errors that movements are counted in.
     - `parameters`: bodies that an estimator has fitted itself; those nearest to the fit if None.
-    - `file`: the robot's file as prior, which informs `fit`.
-    - `base`: `fit` without it.
 
     **Raises** as `physical_parameters`.
     """
+    fit, base, file = informed
     step("fitting physically consistent parameters")
     fixed = fixed_bodies(network.robot)
     if parameters is None:
@@ -380,14 +390,12 @@ def possible_fit(
 
 def judged_bodies(
     network: CSLC,
-    fit: Identification,
+    informed: InformedFit,
     training: Patterns,
     parts: Callable[[], Sequence[JudgedPart]],
     *,
     choice: Choice,
     prior: Prior | None,
-    file: FilePrior | None = None,
-    base: Identification | None = None,
     source: Source = "cross-validation",
     systematic: SystematicError | None = None,
     parameters: PhysicalParameters | None = None,
@@ -399,31 +407,28 @@ def judged_bodies(
     None if nothing made parts necessary.
 
     - `parts`: fits without them know what `prior` and the robot's file say.
-    - `file`, `base`: as of `possible_fit`; None where the robot's file is no prior.
 
     **Raises** as `possible_fit`, except for `"auto"`.
     """
     prior = prior or Prior()
     known = prior.coefficient_values(network)
-    if choice == "never" and not known and file is None:
+    if choice == "never" and not known and informed.file is None:
         return None, None, ()
-    informed = parts()
+    judged = parts()
     always = choice == "always" or bool(prior.links)
     warnings: tuple[str, ...] = ()
     if choice != "never":
         try:
             bodies = possible_fit(
                 network,
-                fit,
-                training,
                 informed,
+                training,
+                judged,
                 source=source,
                 systematic=systematic,
                 always=always,
                 knowledge=prior.link_values(network.robot),
                 parameters=parameters,
-                file=file,
-                base=base,
                 step=step,
             )
         except (ValueError, RuntimeError, MissingExtraError) as error:
@@ -433,7 +438,8 @@ def judged_bodies(
         else:
             held_out = bodies.held_out if bodies.used else bodies.free_held_out
             return bodies, held_out, bodies.warnings
-    return None, held_out_of_parts(network, fit, fit.k, informed, source), warnings
+    fit = informed.fit
+    return None, held_out_of_parts(network, fit, fit.k, judged, source), warnings
 
 
 def held_out_of_parts(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..bodies import JudgedPart, held_out_of_parts, judged_bodies, with_knowledge
+from ..bodies import InformedFit, JudgedPart, held_out_of_parts, judged_bodies, with_knowledge
 from ..friction import along_motion, checked_distance, linearised
 from ..instruments import DirectDynamics, InstrumentalVariables
 from ..least_squares import Identification
@@ -75,13 +75,15 @@ class Regression(AbstractEstimator):
         if previous is None:
             bodies, held_out, sentences = judged_bodies(
                 network,
-                identification,
+                InformedFit(
+                    identification,
+                    with_knowledge(fit.identification, problem.known),
+                    problem.file_prior,
+                ),
                 problem.judged_patterns,
                 partial(_parts, problem, identification, several),
                 choice=request.possible,
                 prior=request.prior,
-                file=problem.file_prior,
-                base=with_knowledge(fit.identification, problem.known),
                 source="cross-validation" if several is None else "held-out recording",
                 systematic=systematic,
                 step=problem.step,

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from .._processes import can_fork, function_beside
 from ..bodies import (
     ChosenPrior,
+    InformedFit,
     JudgedPart,
     Known,
     PossibleFit,
@@ -330,13 +331,15 @@ def _better(base: Judged, fits: LikelihoodFits, *, always: bool) -> Judged:
     file = _file_prior(problem, likelihood.fit)
     bodies, _, sentences = judged_bodies(
         ours.network,
-        fit,
+        InformedFit(
+            fit,
+            _known(problem, likelihood.fit, ours.network),
+            None if file is None else file.prior,
+        ),
         problem.patterns["training"],
         lambda: parts,
         choice=request.possible,
         prior=request.prior,
-        file=None if file is None else file.prior,
-        base=_known(problem, likelihood.fit, ours.network),
         source=_SOURCE,
         parameters=likelihood.bodies,
         step=problem.step,

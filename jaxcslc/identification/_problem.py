@@ -23,7 +23,13 @@ from ..bodies import (
     with_knowledge,
 )
 from ..friction import LoadFit, SlopeFit, fit_load, fit_slopes
-from ..least_squares import Identification, LeastSquares, Settings, static_friction_joints
+from ..least_squares import (
+    RESULTS,
+    Identification,
+    LeastSquares,
+    Settings,
+    static_friction_joints,
+)
 from ..network import CSLC
 from ..recordings import (
     Derivatives,
@@ -356,8 +362,10 @@ def with_file_prior(problem: Problem) -> Problem:
         return problem
     file = chosen_prior(problem.network, patterns, problem.solver, fit)
     warnings = () if file is None else file.weight.warnings
+    # Of too few equations, the estimator's own fit raises.
+    alone = None if bool(fit.result == RESULTS.no_equations) else fit
     return dataclasses.replace(
-        problem, file=file, alone=fit, warnings=(*problem.warnings, *warnings)
+        problem, file=file, alone=alone, warnings=(*problem.warnings, *warnings)
     )
 
 

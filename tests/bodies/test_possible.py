@@ -8,7 +8,14 @@ import pytest
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.bodies import JudgedPart, PossibleFit, in_file_frames, other_masses, possible_fit
+from jaxcslc.bodies import (
+    InformedFit,
+    JudgedPart,
+    PossibleFit,
+    in_file_frames,
+    other_masses,
+    possible_fit,
+)
 from jaxcslc.payload._report import in_last_body_frame
 from jaxcslc.uncertainty import cross_validated_error
 from tests import arms
@@ -55,7 +62,7 @@ def fitted(network: jc.CSLC, patterns: jc.Patterns, *, always: bool = False) -> 
     fold = np.arange(patterns.samples) * FOLDS // patterns.samples
     fits = SOLVER.fits_without_folds(network, patterns, fold)
     parts = JudgedPart.of(network, patterns, fit).stretches(tuple(fits))
-    return possible_fit(network, fit, patterns, parts, always=always)
+    return possible_fit(network, InformedFit(fit), patterns, parts, always=always)
 
 
 def test_errors_are_those_of_fits_to_the_other_stretches(
@@ -110,7 +117,7 @@ def test_choice_follows_the_errors_and_their_spread(
     fit = SOLVER.fit(network, patterns)
     worse = tuple(fit._replace(k=fit.k - wrong) for fit in fits)
     parts = JudgedPart.of(network, patterns, fit).stretches(worse)
-    assert possible_fit(network, fit, patterns, parts).used
+    assert possible_fit(network, InformedFit(fit), patterns, parts).used
 
 
 def test_a_body_far_from_the_fit_is_named_with_what_to_do(

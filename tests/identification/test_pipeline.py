@@ -205,3 +205,14 @@ class TestExclusions:
         assert excluded(several, "pre-sliding") == "several recordings are fitted together"
         other = dataclasses.replace(request, supports=frozenset(), estimator="ridge")
         assert excluded(other, "pre-sliding") == "the estimator 'ridge' does not support it"
+
+
+def test_a_file_as_prior_does_not_hide_too_few_equations() -> None:
+    """Without enough equations nothing is fitted, whatever the robot's file knows."""
+    network = jc.derive(jc.puma560().with_friction("viscous", "dry"), lengths="numeric")
+    time = np.arange(21) / 200.0
+    position = np.stack([0.3 * np.sin((6.0 + 2.0 * j) * time + j) for j in range(6)], axis=1)
+    torque = np.random.default_rng(0).standard_normal(position.shape)
+    recording = jc.Recording(time, position, torque)  # three samples are left by trimming
+    with pytest.raises(RuntimeError, match="Fewer equations than coefficients"):
+        jc.identify(network, recording, settings=jc.Settings(), checks=False, systematic=False)
