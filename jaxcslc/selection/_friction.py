@@ -281,22 +281,14 @@ def choose_friction(
                     after = judge.held_out(richer)
                 except (ValueError, RuntimeError):  # nothing in the motion determines it
                     continue
-                of_kind: list[FrictionTrial] = []
+                unclear = judge.unclear_offsets(richer) if "offset" in kind else ()
                 for joint in joints:
-                    possible = {*_kinds(kind)} <= {*after.laws[joint - 1]}
+                    possible = {*_kinds(kind)} <= {*after.laws[joint - 1]} and joint not in unclear
                     relative, *differing = after.relative(before, joint)
                     worst = max(differing, key=lambda some: some.change)
-                    of_kind.append(
+                    tried.append(
                         FrictionTrial(joint, kind, relative, False, possible, elsewhere=worst)
                     )
-                # Errors of a whole fit cost as much as all else: only where they decide.
-                if "offset" in kind and _best(of_kind, chance):
-                    unclear = judge.unclear_offsets(richer)
-                    of_kind = [
-                        dataclasses.replace(x, possible=x.possible and x.joint not in unclear)
-                        for x in of_kind
-                    ]
-                tried += of_kind
         best = _best(tried, chance)
         trials += [dataclasses.replace(trial, used=trial in best.values()) for trial in tried]
         if not best:
