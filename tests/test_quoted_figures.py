@@ -139,9 +139,9 @@ _SECONDS = "real_robots.md # {} | {} | processor [s]"
 CLAIMS = (
     Claim(
         "README.md",
-        "A report of 3,300 samples takes about 2 s on two cores",
+        "A report of 3,300 samples takes a few seconds on two cores",
         ("benchmark identify.puma560.later_run",),
-        lambda seconds: all(round(value) == 2 for value in seconds),
+        lambda seconds: all(1 < value < 5 for value in seconds),
     ),
     Claim(
         "docs/likelihood.md",
