@@ -13,7 +13,7 @@ from ._findings import Finding
 
 
 LEAST_GAIN = 0.15
-"""How much lower the mean logarithm of the joints' errors must be once a cause is mended."""
+"""Least fall of the mean logarithm of the joints' errors once a cause is removed."""
 ALIKE = LEAST_GAIN / 3.0
 """Causes whose gains differ by a third of that are told apart by chance."""
 # A remedy must take away this part of the squares of the errors beyond noise, of joints with errors

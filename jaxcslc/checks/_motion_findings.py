@@ -419,7 +419,7 @@ def _computed_torque(evidence: Evidence) -> list[Finding]:
     friction[network.layout.friction] = np.asarray(evidence.fit.k)[network.layout.friction]
     torque = torque_by(network.support, evidence.columns(evidence.patterns), friction)
     part = np.sqrt(np.mean(torque**2, axis=0))[moved] / size[moved]
-    # Friction that the motion of a joint with little torque hardly shows is any.
+    # Of a joint with little torque, friction may be any.
     usual = float(np.median(part))
     if usual > _FRICTIONLESS:
         return []

@@ -20,7 +20,7 @@ Thresholds: TypeAlias = float | int | Sequence[float | int] | Float[np.ndarray, 
 """Velocities below which static friction matters: one for each joint, or one for all."""
 
 STATIC_FRICTION_PART = 0.1
-"""What is left of a threshold fraction for a joint with a term of static friction: such pairs
+"""Part of a threshold fraction that a joint with a term of static friction keeps: such pairs
 determine the term. Slower ones, at which the joint may be at rest, determine nothing."""
 
 

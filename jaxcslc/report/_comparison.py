@@ -35,7 +35,7 @@ class ReportComparison:
     - `first`, `second`: the two reports.
     - `rows`: one a coefficient of either: `name`, `unit`, `first`, `second`, `difference`
       (second less first) and `standard_errors`, the difference over the root of the sum of both
-      variances, systematic errors included but for those of faults within tolerances
+      variances, systematic errors included except those of faults within tolerances
       (`possible_faults`), which both share. None where only one has the coefficient, where it
       stands for another combination of link parameters, or where one is not determined or was
       not fitted; `note` says which.

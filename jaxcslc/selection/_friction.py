@@ -243,7 +243,7 @@ def choose_friction(
     - `others`: recordings of the same robot, which terms are judged on too.
     - `motion`: the recording's derivatives by the settings, if they are known already.
     - `presliding_distance`: (n,) of joints whose dry friction has a state (`fit_pre_sliding`), 0 of
-      others: terms are judged beside it, so that none makes up for it. Such joints get no static
+      others: terms are judged beside it, so that none compensates for it. Such joints get no static
       friction, which is what friction before sliding is.
     - `progress`: is called with a few words at each trial.
 

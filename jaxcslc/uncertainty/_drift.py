@@ -1,4 +1,4 @@
-"""How much coefficients differ from recording to recording of one arm, beyond their errors.
+"""Drift: differences of coefficients from recording to recording of one arm, beyond their errors.
 
 Friction changes with temperature, and offsets with the sensors: each recording has coefficients of
 its own. An interval that shall hold for a further recording allows for that.

@@ -270,7 +270,7 @@ def _precision(fit: Identification) -> np.ndarray:
 
 
 DRIFT = "drift between recordings"
-"""What the part of a systematic error is called that makes intervals hold for other recordings."""
+"""Name of the part of a systematic error that makes intervals hold for other recordings."""
 
 
 def _drift(
@@ -280,7 +280,7 @@ def _drift(
     error: SystematicError | None = None,
     errors: Mapping[str, SystematicError] | None = None,
 ) -> Drift:
-    """How far recordings differ beyond the errors of their fits, systematic ones if they are known.
+    """Return how far recordings differ beyond the errors of their fits, systematic ones too.
 
     - `error`: of the common fit; `errors`: by recording, of its own fit.
     """

@@ -1,6 +1,6 @@
 """Faults that stay possible: a common factor of the torques, the clock, zeros of joints.
 
-They are the same in every sample, and hardly any residual shows them. Each has a tolerance, which
+They are the same in every sample, and residuals barely show them. Each has a tolerance, which
 drives, recorders and homing usually keep, and a small part of recordings does not. What a recording
 and its robot's file show of a fault makes it larger or smaller. A fault of the size that then stays
 possible is a part of the systematic error.
@@ -21,7 +21,7 @@ from ..recordings import Patterns
 
 TORQUE_SCALE, CLOCK, ZEROS = "torque scale", "clock", "zero positions"
 TOLERATED = (TORQUE_SCALE, CLOCK, ZEROS)
-"""Causes of systematic errors that are faults within tolerances; recordings of an arm share them"""
+"""Causes of systematic errors that are faults within tolerances, shared by recordings of an arm."""
 
 
 class Tolerance(NamedTuple):
@@ -41,7 +41,7 @@ TOLERANCES: Mapping[str, Tolerance] = {
     CLOCK: Tolerance(0.005, "controllers whose cycle is not quite the one that is stated"),
     ZEROS: Tolerance(0.005, "marks and stops that joints are homed to"),
 }
-"""How large faults may be that no recording rules out, by name."""
+"""Sizes of faults that no recording rules out, by name [a factor less 1, or rad or m]."""
 # One recording in twenty has a fault beyond its tolerance, of twenty times its size. (Heuristic:
 # data decide unless they say little; a smaller number would take a clear fault for chance.)
 _GROSS, _GROSS_SIZE = 0.05, 20.0
@@ -117,7 +117,7 @@ def possible_size(limit: float, estimate: Estimate) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class PossibleFaults:
-    """What faults within their tolerances may change coefficients by.
+    """Changes of coefficients that faults within their tolerances may cause.
 
     - `parts`: by cause, the standard uncertainty of each coefficient, (p,).
     - `within`: by cause, the size of the fault by 95 %, as text.

@@ -2,7 +2,7 @@
 
 Each kind is a function of a sonar, a random generator and a number of patterns. Sizes are in metres
 and angles in radians, uniform in the ranges named at the top. Reflections by two objects, or by
-the floor (except for the kerb's), are left out.
+the floor (except for the kerb's), are omitted.
 
 Paths of echoes are those of geometrical acoustics and diffraction. Points have the axis "3" last
 and are in the sonar's frame. Every function of paths gives one to each receiver for a batch of

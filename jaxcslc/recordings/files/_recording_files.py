@@ -306,7 +306,7 @@ def load_columns(
 
     **Returns** the columns by name, `time` first.
 
-    **Raises** `RecordingError`: as `load_recording`; in place of its columns, one that is missing.
+    **Raises** `RecordingError`: as `load_recording`; instead of its columns, one that is missing.
 
     >>> import pathlib, tempfile
     >>> from jaxcslc.recordings import load_columns

@@ -33,7 +33,7 @@ ROW_GROUP = 1 << 16
 
 _READ_BYTES = 1 << 20  # of a file at a time: enough for speed, little next to a chunk's arrays
 SERVO_FOLDERS = ("meta/info.json", "control.csv", "control.csv.gz")
-"""What folders of servos' recordings have: data sets of LeRobot, and SAGE's logs."""
+"""Files that folders of servos' recordings have: data sets of LeRobot, and SAGE's logs."""
 
 _DELIMITERS = (",", ";", "\t", " ")
 _EXACT_DIGITS = np.finfo(np.float64).precision  # beyond, float64 rounds integers

@@ -93,7 +93,7 @@ def save(measurements: Iterable[Measurement], path: Path = RESULTS) -> None:
 
 
 def merged(earlier: Iterable[Measurement], later: Iterable[Measurement]) -> list[Measurement]:
-    """Return all of them; later ones in place of earlier ones of the same group and machine."""
+    """Return all of them; later ones instead of earlier ones of the same group and machine."""
     by_key = {(x.group, x.machine): x for x in (*earlier, *later)}
     return sorted(by_key.values(), key=lambda x: (x.group, x.machine))
 

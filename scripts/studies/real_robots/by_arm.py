@@ -59,3 +59,31 @@ def print_table(
     joints = (str(joint + 1) for joint in range(width - len(header)))
     print(text_table([*header, *joints], rows, left=header[:2]))
     return 0
+
+
+def print_held_out(
+    description: str | None,
+    output: str,
+    rows_of: Callable[[str, Arm], list[list[str]]],
+    argv: Sequence[str] | None,
+    *,
+    quick: Sequence[str],
+) -> int:
+    """Runs a study of held-out errors, whose rows begin with arm and motion.
+
+    **Arguments**
+
+    - `description`, `output`: as of `new_parser`.
+    - `rows_of`: as of `print_table`.
+    - `quick`: the arms of `--quick`, which fits two fifths of their training recordings.
+
+    **Returns** the exit status.
+    """
+    parser = new_parser(description, output)
+    options = parse(parser, argv, arms=list(quick))
+    fitted = 0.4 if options.quick else 1.0
+    return command.run(
+        parser,
+        lambda: print_table(options, rows_of, ["arm", "motion"], fitted=fitted),
+        seconds=30.0 * len(options.arms),
+    )

@@ -17,7 +17,6 @@ from jaxtyping import Float
 
 import jaxcslc as jc
 from jaxcslc.friction import contact_states
-from scripts.studies import command
 from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm
 from scripts.studies.real_robots.load_friction import FOLDS, percent
@@ -112,14 +111,7 @@ def _held_out(
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = by_arm.new_parser(__doc__, "hysteresis")
-    options = by_arm.parse(parser, argv, arms=["KUKA KR300"])
-    fitted = 0.4 if options.quick else 1.0
-    return command.run(
-        parser,
-        lambda: by_arm.print_table(options, lines_of, ["arm", "motion"], fitted=fitted),
-        seconds=30.0 * len(options.arms),
-    )
+    return by_arm.print_held_out(__doc__, "hysteresis", lines_of, argv, quick=["KUKA KR300"])
 
 
 if __name__ == "__main__":

@@ -99,7 +99,7 @@ def with_ridge(
     """Weighted least squares with a ridge towards the bodies of the robot's file.
 
     A mass is known to `RIDGE` of itself, first moments to that times 0.1 m, inertias to that times
-    0.01 m². Motors' inertia and friction are hardly known. One sample in twenty counts, since
+    0.01 m². Motors' inertia and friction are barely known. One sample in twenty counts, since
     their errors are correlated.
     """
     bodies = bodies_of(links)

@@ -15,7 +15,6 @@ import numpy as np
 
 import jaxcslc as jc
 from jaxcslc.friction import fit_pre_sliding
-from scripts.studies import command
 from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm
 from scripts.studies.real_robots.load_friction import SETTINGS as MASKED, percent, rms
@@ -50,14 +49,7 @@ def lines_of(name: str, arm: Arm) -> list[list[str]]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = by_arm.new_parser(__doc__, "pre_sliding")
-    options = by_arm.parse(parser, argv, arms=["Stäubli TX40"])
-    fitted = 0.4 if options.quick else 1.0
-    return command.run(
-        parser,
-        lambda: by_arm.print_table(options, lines_of, ["arm", "motion"], fitted=fitted),
-        seconds=30.0 * len(options.arms),
-    )
+    return by_arm.print_held_out(__doc__, "pre_sliding", lines_of, argv, quick=["Stäubli TX40"])
 
 
 if __name__ == "__main__":

@@ -82,7 +82,7 @@ def errors_of(
 ) -> dict[str, list[float]]:
     """In percent of the raw torque, joint by joint: over all samples, and over judged ones.
 
-    - `ends`: left out at either end [s].
+    - `ends`: omitted at either end [s].
     """
     patterns = settings.patterns(recording)
     torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)

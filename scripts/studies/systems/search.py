@@ -48,7 +48,7 @@ _ERRORS, _PART = 5.0, 1e-3
 
 
 def is_global(example: Example, search: ConstantSearch) -> bool:
-    """Return whether the values are the true ones but for noise."""
+    """Return whether the values are the true ones except for noise."""
     errors = dict(zip(search.fit.names, np.asarray(search.fit.standard_error), strict=True))
     bounds = {c.name: c.bounds for c in example.system.nonlinear if c.bounds is not None}
     return all(
