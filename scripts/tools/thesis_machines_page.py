@@ -29,24 +29,24 @@ _MACHINES = {"A": puma_a(), "B": puma_b()}
 _INTRODUCTION = """\
 # PUMA A and PUMA B
 
-The presets `puma_a` and `puma_b` are the two machines on which the thesis identified its
-coefficients, approximated by physically possible machines. Friction is Appendix B's as printed. The
-31 mass and gravity coefficients were identified one by one, and no machine has the printed values.
-The presets have the links of the possible machine whose coefficients are nearest, each difference
-weighted by its printed output sensitivity, in N m: the least change of torque. The
-candidates have, link by link (spread along a joint's axis may first be moved between neighbouring
-links, see `possible_links`),
+The presets `puma_a` and `puma_b` approximate the two machines on which the thesis identified its
+coefficients. The presets are physically consistent. Their friction is Appendix B's as printed. The
+thesis identified 31 mass and gravity coefficients one by one, and no machine has the printed
+values. The presets have the links of the consistent machine with the nearest coefficients. Each
+difference is weighted by its printed output sensitivity, in N m. The result is the least change of
+torque. Spread along a joint's axis may first be moved between neighbouring links (see
+`possible_links`). Each link of a candidate has
 
 - positive mass, and a spread of mass that is not negative in any direction, ∫ x xᵀ dm ≥ 0;
-- principal axes along the frame's and the zeros of Fig. 2.6-4, so that the thesis's network with
+- principal axes along the frame's, and the zeros of Fig. 2.6-4, so that the thesis's network with
   the preset's coefficients is exact;
-- parameters close to Armstrong's: masses and motor inertias from a half to twice his, spreads of
-  mass no less than half his, centres of gravity within 0.1 m of his in each direction.
+- a mass and a motor inertia from a half to twice Armstrong's;
+- spreads of mass no less than half of Armstrong's;
+- a centre of gravity within 0.1 m of Armstrong's in each direction.
 
-Since no motor inertia is below half of Armstrong's, the mass matrix is positive definite
-everywhere.
+No motor inertia is below half of Armstrong's. So the mass matrix is positive definite everywhere.
 
-This page is written by `scripts/tools/thesis_machines_page.py`.
+`scripts/tools/thesis_machines_page.py` writes this page.
 """
 
 _WHY = """\
@@ -56,8 +56,8 @@ _WHY = """\
 """
 
 _OUTSIDE = """\
-By Appendix B, the mass beyond the elbow is both negative and several times Armstrong's, and the
-centre of gravity of link 2 is a metre outside the link.
+By Appendix B, the mass beyond the elbow is both negative and several times Armstrong's. The centre
+of gravity of link 2 is a metre outside the link.
 """
 
 _INEQUALITIES = """\
@@ -167,8 +167,8 @@ def page(performed: sim.Truth) -> str:
         )
     parts.append("## Links\n")
     parts.append(
-        "kg, m and kg m²; moments of inertia at the centre of gravity. Of link 1 only `Izz + Im`"
-        " enters\nthe dynamics.\n"
+        "Units are kg, m and kg m². Moments of inertia are at the centre of gravity. For link 1,"
+        " only `Izz + Im`\nenters the dynamics.\n"
     )
     parts.append(_links())
     return "\n".join(parts)
@@ -206,19 +206,19 @@ def _cost(
     far = [_distance_of_unlike(network, name) for name in _MACHINES]
     smallest = [_smallest_eigenvalue(network, machine) for machine in _MACHINES.values()]
     return (
-        "RMS torque [N m] over the motion of the training trajectory (7.4.1) as Armstrong's machine"
-        " performs\nit, friction left out. The distance [N m] is the minimised weighted"
-        " norm.\n\n"
+        "The table has the RMS torque [N m] without friction. The motion is the training"
+        " trajectory (7.4.1), as\nArmstrong's machine performs it. The distance [N m] is the"
+        " minimised weighted norm.\n\n"
         + _table(
             ["PUMA", "", "distance", *(f"joint {i}" for i in range(1, 7)), "all"], rows, text=2
         )
         + f"\nThe smallest eigenvalue of M(q) over {_CONFIGURATIONS} configurations drawn from the"
         f" joints' ranges is\n{_number(smallest[0], 3)} kg m² for `puma_a` and"
         f" {_number(smallest[1], 3)} kg m² for `puma_b`.\n\n"
-        "The limits of the deviation from Armstrong's machine are a choice with little effect:"
-        " among\nmachines whose masses, motor inertias and spreads may be a hundredth of his"
-        f" and whose centres may\nlie {_FAR} m away, the nearest is at a distance of"
-        f" {_number(far[0], 3)} from PUMA A and {_number(far[1], 3)} from PUMA B.\n"
+        "The limits of the deviation from Armstrong's machine are a choice with little effect."
+        " Wider limits\nallow masses, motor inertias and spreads of a hundredth of his, and centres"
+        f" {_FAR} m away. The\nnearest machine is then at a distance of {_number(far[0], 3)}"
+        f" from PUMA A and {_number(far[1], 3)} from PUMA B.\n"
     )
 
 

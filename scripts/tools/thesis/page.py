@@ -40,20 +40,19 @@ _CHAPTERS = {
 _INTRODUCTION = """\
 # The thesis, entry by entry
 
-The method is that of a doctoral thesis, "Identification of robotic manipulators' inverse dynamics
-coefficients via model-based adaptive networks". This page lists its sections, numbered equations,
-and figures, as it calls tables too, with what carries each of them over, and the numbers that it
-reports beside those of now.
+The method comes from a doctoral thesis, "Identification of robotic manipulators' inverse dynamics
+coefficients via model-based adaptive networks". This page lists its sections, numbered equations
+and figures. The thesis counts tables as figures. Each entry links the code that implements it. The
+numbers that the thesis reports are compared with ours.
 
 {summary}
-The thesis's two PUMA 560s were real. Those of now are simulated, with every disturbance of Section
-7.2. Their coefficients are as near to the thesis's as a possible machine's can be ([PUMA A and
-B](puma_a_b.md)); their gears, motors and static friction are choices. So what was measured on a
-machine is to be compared in kind; what follows from the network's form is the same, or a note says
-why not.
+The thesis's two PUMA 560s were real. Ours are simulated, with every disturbance of Section 7.2.
+Their coefficients are the physically consistent ones nearest to the thesis's ([PUMA A and
+B](puma_a_b.md)). Their gears, motors and static friction are our choice. Compare measurements on a
+machine in kind, not in value. Results of the network's form are the same, or a note says why not.
 
-This page is written by `scripts/tools/thesis/page.py`, which resolves every reference and computes
-every number, or reads it from the tables of a study: {studies}.
+`scripts/tools/thesis/page.py` writes this page. It resolves every reference. It computes every
+number, or reads it from the tables of a study: {studies}.
 """
 
 
@@ -91,10 +90,10 @@ def page(thesis: Thesis) -> str:
 
 
 _COEFFICIENTS = """\
-Figs. B.1-1 to B.5-2: what the thesis identified on its machine; the true value of the simulated
-one; what `make demo` identified on that, with its standard and [systematic
-error](uncertainty.md#systematic-errors); and the output sensitivities of both. Where the simulated
-machine is far from the thesis's, no machine can have the printed value
+The tables correspond to Figs. B.1-1 to B.5-2. They have the thesis's coefficients and the true ones
+of the simulated machine. The identified ones come from `make demo`, with standard and [systematic
+errors](uncertainty.md#systematic-errors). The last columns are the output sensitivities of both. If
+the simulated machine is far from the thesis's, no machine can have the printed value
 ([why](puma_a_b.md#contradictions-of-the-printed-coefficients)).
 """
 
