@@ -17,21 +17,22 @@ _INTRODUCTION = """\
 
 ![Bars: held-out torque errors on real arms](images/evidence/real_robots.svg)
 
-Every recording of an arm at hand that has torques is compared. The numbers are
-100·‖error‖/‖torque‖ per joint [%], of the raw torque. The first is over all samples. The second
-is over the samples that the masks keep, without slow motion. Bold is the smallest error over all
-samples and those within 2 % of it. All methods are judged on motion that is smoothed in the same
-way. Each recording is divided once into motion that is fitted and motion that is judged. Nothing
-of a fit is chosen on the latter.
+The tables compare all our recordings of arms with torques. The numbers are 100·‖error‖/‖torque‖
+per joint [%], of the raw torque. The first is over all samples. The second is over the samples
+that the masks keep, without slow motion. Bold is the smallest error over all samples and those
+within 2 % of it. All methods are judged on motion that is smoothed in the same way. Each recording
+is divided once into motion that is fitted and motion that is judged. Nothing of a fit is chosen on
+the latter.
 
 - **usual pipeline**: 20 Hz Butterworth filter of order 4, forwards and backwards, on positions
   and torques. Central differences. Ordinary (OLS) or weighted (WLS) least squares, with the
-  friction terms of the robot's file, and with torque offsets of all joints. Examples of Pinocchio
-  do this, and FIGAROH 1.0.2: its coefficients are those of the OLS rows to ten digits. It is also
-  judged on its own motion, and with friction at rest by the sign of measured velocity. The best
-  of the four counts.
-- **ridge to the file**: the same with offsets, weighted, and a ridge towards the masses of the
-  robot's file: 20 % of a mass. Only the LWR4+'s file has masses. The width was found on this arm.
+  friction terms of the robot's file, without and with torque offsets of all joints. Examples of
+  Pinocchio do this. FIGAROH 1.0.2 does, too: its coefficients are those of the OLS rows to ten
+  digits. The pipeline is also judged on its own motion, and with friction at rest by the sign of
+  measured velocity. The best of these four errors counts.
+- **ridge to the file**: weighted least squares with offsets and a ridge towards the masses of the
+  robot's file. The ridge's width is 20 % of a mass. It was found on this arm, the LWR4+. Only its
+  file has masses.
 - **identify**: the command as typed, `jaxcslc identify ROBOT RECORDING`, without any option.
 - **maximum likelihood**: `--estimator maximum-likelihood` ([page](likelihood.md)).
 - **friction auto**: `--friction auto` ([page](friction.md#choose-terms-automatically)).
@@ -44,16 +45,18 @@ OPENBLAS_NUM_THREADS=1 python -m scripts.studies.real_robots.study --page docs/r
 The recordings are not part of this repository; `--data` names the folder that holds them. An SO-101
 has position servos and no torque signal. [Its figures](servo.md) are errors of simulated positions.
 
-Some rules of `identify` were chosen after errors on these recordings had been seen, so these are no
-blind tests: the odds of one in five at which physically consistent parameters are used (KR300), the
-[friction at standstill](friction.md#joints-at-standstill) (KR300), and weights by residual with the
-file as prior (LWR4+).
+These are no blind tests. Three rules of `identify` were chosen after errors on these recordings had
+been seen:
+
+- the odds of one in five at which physically consistent parameters are used (KR300);
+- the [friction at standstill](friction.md#joints-at-standstill) (KR300);
+- weights by residual with the file as prior (LWR4+).
 
 ## Where it loses
 
-Joints at which `identify` as typed has an error that is more than 2 % above that of the usual
-pipeline. Of the pipeline, the variant counts whose mean over the joints is smallest on the judged
-recording, the ridge included.
+`identify` as typed loses at a joint if its error is more than 2 % above that of the usual pipeline.
+The pipeline's variant is the one with the smallest mean over the joints on the judged recording.
+The ridge is one of the variants.
 
 {losses}
 
@@ -61,11 +64,11 @@ recording, the ridge included.
 
 MuJoCo's toolbox, `mujoco.sysid` 4.0, fits by simulation. It searches for bodies, friction and
 motor inertias with which an MJCF model moves as the arm did. It needs start values, bounds, and
-states to begin simulations at. It started from equal bodies with the arm's mass, with one
+initial states of simulations. Here it starts from equal bodies with the arm's mass. It has one
 simulation per second of the KR300's motion A, 78 parameters and 30 steps (108 s of processor
 time). Its errors are 567 1427 301 526 38 153 % on B, 409 801 350 617 28 164 % on C, and 85 510 76
 454 15 121 % on A. With simulations of 0.2 s and 60 steps they are 440 393 151 2926 256 574 % on
-A. It is made for models that are nearly right already.
+A. The toolbox is made for models that are nearly right already.
 
     python -m scripts.studies.real_robots.simulation_fit --arms "KUKA KR300" --steps 30
 """
@@ -150,15 +153,21 @@ def _arm(result: Mapping[str, Any]) -> str:
     lines = [
         f"## {result['arm']}",
         "",
-        f"From {result['source']}: {result['split']}.",
+        f"The recordings are from {result['source']}. Split: {result['split']}.",
         "",
     ]
     rows = result["rows"]
     for recording in dict.fromkeys(row["recording"] for row in rows):
         of_recording = [row for row in rows if row["recording"] == recording]
         lines += [*_table(recording, of_recording), ""]
-    notes = [row for row in rows if row["recording"] == rows[0]["recording"] and row["note"]]
-    lines += [f"- {row['method']}: {row['note']}." for row in notes]
+    notes: dict[str, list[str]] = {}  # methods of each note
+    for row in rows:
+        if row["recording"] == rows[0]["recording"] and row["note"]:
+            notes.setdefault(row["note"], []).append(row["method"])
+    if notes:
+        lines += ["| method | estimator | friction | settings |", "|---|---|---|---|"]
+        for note, methods in notes.items():
+            lines.append(f"| {'<br>'.join(methods)} | {' | '.join(note.split('; ', 2))} |")
     return "\n".join(lines) + "\n"
 
 
