@@ -107,7 +107,7 @@ def _points(compared: Sequence[_Comparison]) -> str:
     """What the page says first: where `identify` loses, and where it does not."""
     by_mean = {
         worse: [
-            f"{one.recording} ({one.ours.mean():.1f} to {one.usual.mean():.1f} %)"
+            f"{one.recording} ({one.ours.mean():.1f} %, pipeline {one.usual.mean():.1f} %)"
             for one in compared
             if (one.ours.mean() > one.usual.mean()) == worse
         ]
