@@ -30,9 +30,11 @@ TIMESTEP = 0.001
 _IMPEDANCE = 0.9999
 # Smallest time constant of constraints that MuJoCo allows, in time steps (`refsafe`).
 _STIFFEST = 2.0
-# For what MuJoCo has not: parts of the largest plausible friction, and of the drive's damping, that
-# are tried in turn, in so many rounds.
-_FRICTIONS, _DAMPINGS, _ROUNDS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.3), (1.0, 0.9, 0.8, 0.7, 0.6), 2
+# For what MuJoCo has not: a part of the largest plausible friction, and of the drive's damping.
+# Where their search starts, their bounds, steps of differences, and iterations. Steps are large:
+# friction makes positions rough.
+_START, _LOWEST, _HIGHEST = np.array([0.5, 0.85]), np.array([0.0, 0.5]), np.array([1.5, 1.0])
+_STEPS, _ITERATIONS = np.array([0.2, -0.1]), 3
 _MATCHED = 40.0  # s of recordings, over which they are compared
 _RADIUS = 0.008  # of the rods that show links, with which nothing collides [m]
 
@@ -274,8 +276,8 @@ def _expressible(
     """Return drives with other Coulomb friction and damping, for what MuJoCo has not.
 
     Static friction is friction that falls with velocity: a larger Coulomb friction and less damping
-    come near it. All joints try the same part at a time: coupling between joints does not change
-    which part suits one best.
+    come near it. The search is that of Gauss and Newton for each joint, with the changes of all
+    joints in one replay: coupling between joints hardly changes what suits one best.
     """
     largest = np.array([d.static + d.gain * d.dead_zone for d in drives])
     loaded = np.array([d.load_friction for d in drives])
@@ -290,8 +292,8 @@ def _expressible(
     model = mujoco.MjModel.from_xml_string(text)
     dofs = [int(model.jnt_dofadr[model.actuator_trnid[i, 0]]) for i in range(model.nu)]
 
-    def changed(friction: np.ndarray, damping: np.ndarray) -> list[ServoDrive]:
-        changes = zip(drives, (friction * largest).tolist(), damping.tolist(), strict=True)
+    def changed(x: Float[np.ndarray, "joints 2"]) -> list[ServoDrive]:
+        changes = zip(drives, (x[:, 0] * largest).tolist(), x[:, 1].tolist(), strict=True)
         return [
             dataclasses.replace(
                 d,
@@ -304,24 +306,26 @@ def _expressible(
             for (d, more, less), limit in zip(changes, largest > 0.0, strict=True)
         ]
 
-    def errors(friction: np.ndarray, damping: np.ndarray) -> np.ndarray:
-        tried = changed(friction, damping)
+    def differences(x: Float[np.ndarray, "joints 2"]) -> Float[np.ndarray, "samples joints"]:
+        tried = changed(x)
         model.dof_frictionloss[dofs] = [d.coulomb for d in tried]
         model.dof_damping[dofs] = [d.viscous for d in tried]
         model.actuator_biasprm[:, 2] = [-d.damping for d in tried]
-        differences = [
-            _replayed(mujoco, model, x) - goal for x, goal in zip(parts, goals, strict=True)
-        ]
-        return np.mean(np.concatenate(differences) ** 2, axis=0)
+        pairs = zip(parts, goals, strict=True)
+        return np.concatenate([_replayed(mujoco, model, x) - goal for x, goal in pairs])
 
-    n = len(drives)
-    friction, damping = np.zeros(n), np.ones(n)
-    for _ in range(_ROUNDS):
-        tried = [errors(np.full(n, part), damping) for part in _FRICTIONS]
-        friction = np.array(_FRICTIONS)[np.argmin(tried, axis=0)]
-        tried = [errors(friction, np.full(n, part)) for part in _DAMPINGS]
-        damping = np.array(_DAMPINGS)[np.argmin(tried, axis=0)]
-    return changed(friction, damping)
+    best = x = np.tile(_START, (len(drives), 1))
+    found = r = differences(x)
+    for _ in range(_ITERATIONS):
+        sides = [(differences(x + step) - r) / step.sum() for step in np.diag(_STEPS)]
+        J = np.stack(sides, axis=2)
+        x = x - np.stack([np.linalg.lstsq(J[:, i], r[:, i])[0] for i in range(len(x))])
+        x = np.clip(x, _LOWEST, _HIGHEST)
+        r = differences(x)
+        better = np.sum(r**2, axis=0) < np.sum(found**2, axis=0)
+        best, found = np.where(better[:, None], x, best), np.where(better, r, found)
+        x, r = best, found
+    return changed(best)
 
 
 def _approximations(

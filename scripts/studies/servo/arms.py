@@ -19,7 +19,7 @@ from jaxcslc.servo import ServoRecording
 
 
 TICK = 2.0 * np.pi / 4096
-STEP = 0.0005  # s
+STEP = 0.0002  # s
 RATE = 50.0  # Hz
 AT_REST = 1.0  # s
 _STIFF = f"{2.0 * STEP} 1"  # of constraints: as stiff as the step allows
