@@ -14,7 +14,8 @@ Modules, in reading order:
 - `_nearest_bodies`: semidefinite least squares, of one body and of all links.
 - `_principal_programme`: search for links with principal axes.
 - `_physical_parameters`: link parameters of a fit.
-- `_file_prior`: the robot's file as prior of coefficients, and its width.
+- `_misfit`: how far errors of a fit and of its prior exceed what they say.
+- `_file_prior`: the robot's file as prior of coefficients, and its weight.
 - `_possible_fit`: consistent bodies compared with the unconstrained fit on held-out data.
 """
 
@@ -35,6 +36,7 @@ from ._file_prior import (
     chosen_prior as chosen_prior,
     correlation_of as correlation_of,
 )
+from ._misfit import Misfit as Misfit, misfit_of as misfit_of
 from ._nearest_bodies import (
     Fitted as Fitted,
     balls as balls,

@@ -1,23 +1,24 @@
 """The robot's file as prior: its inertial parameters as a normal distribution of coefficients.
 
 A file knows masses to some 20 %, and centres and inertias in proportion. `FilePrior` states that
-in terms of coefficients, `chosen_prior` finds its width on motion unlike the motion that was
-fitted, and `with_knowledge` adds it to a fit.
+in terms of coefficients, `chosen_prior` weighs it against the data, and `with_knowledge` adds it
+to a fit.
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..least_squares import Equations, FoldFit, Identification, LeastSquares
+from ..least_squares import Identification, LeastSquares
 from ..manipulator import LinkParameters
 from ..network import CSLC
 from ..recordings import Patterns
 from ._body import ENTRIES, MASS, bodies_of, body_map, body_of_pseudo_inertia, pseudo_inertia
+from ._misfit import misfit_of
 from ._nearest_bodies import Confidence, balls, ends_of, in_units_of, prior_of
 from ._physical_parameters import body_names
 from ._prior import KnownRows, information_rows, with_knowledge
@@ -32,11 +33,6 @@ It was at or near the best held-out error on four real arms; see `docs/uncertain
 DECIDED = 0.5
 """Share from which on a coefficient is the file's more than the data's."""
 
-# Widths that are tried. No file is better than a tenth: arms are drawn without screws and cables.
-_WIDTHS = (0.1, WIDTH, 0.5, 1.0, 2.0, 5.0)
-# Another width than the usual one is taken if it lowers the mean logarithm of squared errors by
-# this, which is 5 % of the error.
-_GAIN = 0.1
 # A body may be spread by this part of the arm's reach further than the file says: centres of thin
 # links are not known better than those of others.
 _SPREAD = 0.1
@@ -45,9 +41,6 @@ _SPREAD = 0.1
 _MOTOR, _NO_MOTOR = 1.0, 3.0
 # Of links whose inertia is obviously invented, such as one mass for all: wider by this factor.
 _INVENTED = 3.0
-# Reported errors count what the file says at this many times its width: it may be wrong by a factor
-# of two, and the intervals are to hold then, too.
-_DOUBT = 3.0
 # A mass is contradicted where data that determine half of it or more move it by this factor.
 _OTHER_MASS, _HALF = 1.65, 0.5
 # Mass is spread no further from its centre than to the next joint and this part of the reach.
@@ -163,8 +156,13 @@ class FilePrior:
         )
 
     def scaled(self, factor: float) -> "FilePrior":
-        """Return the prior with all widths multiplied."""
-        return dataclasses.replace(self, widths=self.widths * factor)
+        """Return the prior with all standard deviations multiplied."""
+        return dataclasses.replace(
+            self,
+            widths=self.widths * factor,
+            motor_errors=self.motor_errors * factor,
+            motors=self.motors * factor,
+        )
 
     def with_link_widths(self, widths: Mapping[str, float]) -> "FilePrior":
         """Return the prior with the widths of `FileWeight`, by link."""
@@ -207,7 +205,7 @@ class FilePrior:
         kept = values > _ROUNDING * values[-1:]
         matrix = np.zeros((int(np.sum(kept)), len(self.mean)))
         matrix[:, some] = vectors[:, kept].T / np.sqrt(values[kept])[:, None] / sizes
-        return KnownRows(matrix, matrix @ self.mean, self.correlation, _DOUBT)
+        return KnownRows(matrix, matrix @ self.mean, self.correlation)
 
     def share(self, fit: Identification) -> Float[np.ndarray, " coefficients"]:
         """Return how much of each coefficient is the file's, from 0 to 1.
@@ -318,21 +316,20 @@ class FileWeight:
     - `share`: (p,) part of each coefficient that is the file's, from 0 to 1.
     - `widths`: by link, standard deviation that its inertial parameters were given, as a part of
       them.
-    - `scores`: by width, the mean logarithm of squared errors over residual variance, on motion
-      unlike the motion that was fitted; empty where the recording is too short to judge it.
+    - `misfit`: times that errors of the fit, as variances, exceed those that its residuals show.
     - `contradicted`: links that the data move further than a file is usually wrong by.
     - `guessed`: links without inertia in the file; `invented`: links whose inertia is that of
       another link too; `implausible`: links with mass further out than they are long.
 
     >>> import numpy as np
     >>> from jaxcslc.bodies import FileWeight
-    >>> print(FileWeight(np.array([0.1, 0.9]), {"arm": 0.2}, {}))
+    >>> print(FileWeight(np.array([0.1, 0.9]), {"arm": 0.2}, 1.0))
     robot's file: prior of its inertial parameters, masses to 20 %; it decides 1 of 2 coefficients
     """
 
     share: Float[np.ndarray, " coefficients"]
     widths: Mapping[str, float]
-    scores: Mapping[float, float]
+    misfit: float
     contradicted: tuple[str, ...] = ()
     guessed: tuple[str, ...] = ()
     invented: tuple[str, ...] = ()
@@ -378,7 +375,7 @@ class FileWeight:
         return {
             "share": self.share,
             "widths": dict(self.widths),
-            "scores": {f"{width:g}": score for width, score in self.scores.items()},
+            "misfit": self.misfit,
             "contradicted": list(self.contradicted),
             "guessed": list(self.guessed),
             "invented": list(self.invented),
@@ -404,17 +401,17 @@ class ChosenPrior(NamedTuple):
         The number of coefficients that are not inertial may differ.
         """
         prior = self.prior.of_size(len(fit.names))
-        prior = dataclasses.replace(prior, correlation=correlation_of(fit))
+        correlation = self.weight.misfit * correlation_of(fit)
+        prior = dataclasses.replace(prior, correlation=correlation)
         return ChosenPrior(prior, dataclasses.replace(self.weight, share=prior.share(fit)))
 
 
 def chosen_prior(
     network: CSLC, patterns: Patterns, solver: LeastSquares, fit: Identification
 ) -> ChosenPrior | None:
-    """Return the robot's file as prior of a fit, its width chosen; None if the file has none.
+    """Return the robot's file as prior of a fit; None if the file has none.
 
-    The width is judged on motion unlike the motion that is fitted: near the middle of positions
-    and far from it, slow and fast. What repeats a motion does not show what it leaves open.
+    Its weight follows from the misfit of both (`misfit_of`), and from what the data contradict.
 
     - `patterns`: that the fit is of, or a part of them.
     - `fit`: of `solver`, without the prior.
@@ -423,25 +420,14 @@ def chosen_prior(
     if prior is None:
         return None
     prior = dataclasses.replace(prior, correlation=correlation_of(fit))
-    equations = solver.equations(network, patterns)
-    splits = list(_splits(patterns, solver, equations))
-    variance = _mean_squares(equations, np.asarray(fit.k))
-    scores: dict[float, float] = {}
-    if splits:
-        for width in _WIDTHS:
-            rows = prior.scaled(width / WIDTH).rows
-            errors = [
-                _mean_squares(far, np.asarray(with_knowledge(near, {}, rows).k))
-                for far, near in splits
-            ]
-            scores[width] = float(np.mean([np.log(_ratio(error, variance)) for error in errors]))
-        best = min(scores, key=lambda width: scores[width])
-        if scores[best] < scores[WIDTH] - _GAIN:
-            prior = prior.scaled(best / WIDTH)
+    misfit = misfit_of(network, patterns, solver, fit, prior.rows)
+    prior = dataclasses.replace(
+        prior.scaled(np.sqrt(misfit.prior)), correlation=misfit.data * prior.correlation
+    )
     prior, contradicted = prior.widened(fit)
     widths = dict(zip(prior.names, prior.widths.tolist(), strict=True))
     weight = FileWeight(
-        *(prior.share(fit), widths, scores, contradicted),
+        *(prior.share(fit), widths, misfit.data, contradicted),
         *(prior.guessed, prior.invented, prior.implausible),
     )
     return ChosenPrior(prior, weight)
@@ -457,38 +443,6 @@ def correlation_of(fit: Identification) -> float:
     independent = np.diag(np.asarray(fit.independent_covariance))[known]
     some = independent > 0.0
     return max(float(np.median(errors[some] / independent[some])), 1.0) if np.any(some) else 1.0
-
-
-def _splits(
-    patterns: Patterns, solver: LeastSquares, equations: Equations
-) -> Iterator[tuple[Equations, FoldFit]]:
-    """Equations that are judged, and the fit of all others; nothing that could not be fitted."""
-    solver = dataclasses.replace(solver, errors="independent")
-    q, qd = np.asarray(patterns.q), np.asarray(patterns.qd)
-    for value in (np.abs(q - np.median(q, axis=0)), np.abs(qd)):
-        greatest = np.max(value, axis=0)
-        distance = np.max(value / np.where(greatest > 0.0, greatest, 1.0), axis=1)
-        far = distance > np.median(distance)
-        if np.all(far) or not np.any(far):
-            continue
-        fit = solver.fit_equations(equations.selected(~far), len(q), throw=False)
-        near = FoldFit(*map(np.asarray, (fit.k, fit.covariance, fit.undetermined)))
-        if np.all(np.isfinite(near.k)) and np.all(np.isfinite(near.covariance)):
-            yield equations.selected(far), near
-
-
-def _mean_squares(
-    equations: Equations, k: Float[np.ndarray, " coefficients"]
-) -> Float[np.ndarray, " joints"]:
-    squares = [float(error @ error) / max(len(error), 1) for error in equations.errors(k)]
-    return np.array(squares)
-
-
-def _ratio(
-    error: Float[np.ndarray, " joints"], variance: Float[np.ndarray, " joints"]
-) -> Float[np.ndarray, " some"]:
-    some = (error > 0.0) & (variance > 0.0)
-    return error[some] / variance[some] if np.any(some) else np.ones(1)
 
 
 def _compact(link: LinkParameters, limit: float) -> LinkParameters:

@@ -375,13 +375,11 @@ class KnownRows(NamedTuple):
     - `matrix`, `target`: `matrix @ k` should equal the target.
     - `correlation`: times that errors of a fit exceed those of independent samples, as variances,
       where it is weighed against this knowledge.
-    - `doubt`: times that reported errors count those of this knowledge.
     """
 
     matrix: Float[np.ndarray, "rows coefficients"]
     target: Float[np.ndarray, " rows"]
     correlation: float
-    doubt: float = 1.0
 
 
 @overload
@@ -446,17 +444,13 @@ def with_knowledge(
 
     # What errors of the fit and of the values do to the coefficients that are not fixed.
     of_white, of_values = np.split(inverse, [len(white)], axis=1)
-    doubt = np.ones(len(prior))
-    if rows is not None:
-        doubt[len(soft) :] = rows.doubt
-    errors = of_values * doubt
     follow = np.zeros((len(free), len(k)))
     follow[:, free] = np.eye(len(free)) - of_values @ prior[:, free]
     follow[:, fixed] = of_white @ white[:, fixed]
 
     def covariance_of(covariance: Any) -> Float[np.ndarray, "coefficients coefficients"]:
         whole = np.zeros((len(k), len(k)))
-        part = follow @ np.asarray(covariance) @ follow.T + errors @ errors.T
+        part = follow @ np.asarray(covariance) @ follow.T + of_values @ of_values.T
         whole[np.ix_(free, free)] = part
         return whole
 

@@ -253,8 +253,7 @@ class FilePriorSection(AbstractSection):
             tuple(map(str, data[key]))
             for key in ("contradicted", "guessed", "invented", "implausible")
         )
-        scores = {float(width): float(score) for width, score in data["scores"].items()}
-        return FileWeight(share, data["widths"], scores, *names)
+        return FileWeight(share, data["widths"], float(data["misfit"]), *names)
 
     def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         yield [str(self.result(self.name, report))]
@@ -269,9 +268,11 @@ class FilePriorSection(AbstractSection):
         yield Section(
             "The robot's file as prior",
             "The inertial parameters of the robot's file decide what the motion leaves open. Their"
-            " assumed error is 20 %, or what predicts motion best that is unlike the fitted one."
-            " It is larger for links that the data contradict or that share one inertia. The file"
-            f" decides {weight.decided} of {counted(len(weight.share), 'coefficient')}.",
+            " assumed error is 20 %, or more where that predicts unlike motion better. It is larger"
+            " for links that the data contradict or that share one inertia. Errors of the data are"
+            f" assumed to be {np.sqrt(weight.misfit):.3g} times those that residuals show, as"
+            f" predictions of unlike motion suggest. The file decides {weight.decided} of"
+            f" {counted(len(weight.share), 'coefficient')}.",
             [Table.from_columns(columns, "Assumed errors", "file-prior")],
         )
 
