@@ -224,7 +224,23 @@ def triangle_of(
 
 
 def _upper(rows: Any) -> Any:
-    return array_namespace(rows).linalg.qr(rows, mode="r")
+    if array_namespace(rows) is np:
+        return np.linalg.qr(rows, mode="r")
+    upper = _upper_of_one
+    for _ in rows.shape[:-2]:
+        upper = jax.vmap(upper)
+    return upper(rows)
+
+
+@jax.custom_batching.sequential_vmap
+def _upper_of_one(rows: Any) -> Any:
+    """Return the triangle of one matrix under JAX, of a batch one after the other.
+
+    On a CPU, JAX 0.10 shares a batch out among the threads that run the program. Where there are as
+    many factorisations as threads, each waits for another one for ever: on two cores, three
+    recordings of 3,000 samples under `jax.vmap` hung in most runs.
+    """
+    return jnp.linalg.qr(rows, mode="r")
 
 
 def _filled(rows: Any, count: int) -> Any:
