@@ -111,8 +111,8 @@ def test_options_are_checked_before_files_are_read() -> None:
         ("--memory", "0"): "--memory: expected a number above 0, got '0'",
         ("--torque-lag", "nan"): "--torque-lag: expected a number, got 'nan'",
         ("--between", "5,1"): "--between: expected START before END, got '5,1'",
-        ("--ml-spacing", "3"): "--ml-spacing: not with the estimator least-squares",
-        ("--estimator", "auto", "--offsets"): "--offsets: not with the estimator auto",
+        ("--ml-spacing", "3"): "--ml-spacing: cannot be combined with --estimator least-squares",
+        ("--estimator", "auto", "--offsets"): "--offsets: cannot be combined with --estimator auto",
     }
     for words, text in wrong.items():
         assert usage_error("identify", "none.urdf", "none.csv", *words) == text

@@ -102,8 +102,8 @@ def body_map(
     """
     if any(inertia.has_known for inertia in algebra.robot.inertia):
         raise ValueError(
-            f"bodies of {algebra.robot.name!r}: masses or centres of gravity are numbers in its"
-            " algebra; expected a robot without `with_known`, and what is known as a prior"
+            f"bodies of {algebra.robot.name!r}: masses or centres of gravity are fixed by"
+            " `with_known`; expected a robot without it, and what is known as a prior"
         )
     n = algebra.robot.joint_count
     constants = constant_values(algebra.robot) if algebra.lengths != "numeric" else {}

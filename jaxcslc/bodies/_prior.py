@@ -219,7 +219,7 @@ class Prior:
         for name in self.coefficients:
             if name not in network.names:
                 raise ValueError(
-                    f"prior, coefficients: {name!r} is none of {network.name!r}'s; expected some of"
+                    f"prior, coefficients: {network.name!r} has no {name!r}; expected some of"
                     f" {network.names[0]} to {network.names[-1]} (jaxcslc derive lists them)"
                 )
         return {network.names.index(name): known for name, known in self.coefficients.items()}

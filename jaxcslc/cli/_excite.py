@@ -261,7 +261,7 @@ def excite_command(
     with context.progress("reading") as step:
         folder = options.output.parent
         if not folder.is_dir():
-            raise ValueError(f"{folder}: no such folder")
+            raise ValueError(f"--output: no such folder: {folder}; expected one that exists")
         context.check_output(design_files(options.output))
         arm = part.read(robot)
         before = _before(arm, options, columns, lambda: drives.network(arm, lengths), step)

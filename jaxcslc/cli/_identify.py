@@ -212,7 +212,7 @@ class IdentifyOptions:
             ("several recordings", len(self.train) > 1 and self.dask is None, SEVERAL),
         ):
             if given and feature not in supported:
-                raise UsageError(f"{option_name}: not with the estimator {name}")
+                raise UsageError(f"{option_name}: cannot be combined with --estimator {name}")
 
 
 # Fits of a fleet that are printed; all are in the file.

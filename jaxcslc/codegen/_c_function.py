@@ -168,7 +168,9 @@ class CFunction:
         """
         library = _library(self.source, self.options, _compiler())
         if library is None:
-            raise OSError("there is no C compiler: cc, or what the environment's CC names")
+            raise OSError(
+                "no C compiler; expected cc, or the one that the environment variable CC names"
+            )
         lengths: dict[str, int] = {}
         values = self._passed(self.arguments[: len(first)], first, lengths)
         remaining = self.arguments[len(first) :]

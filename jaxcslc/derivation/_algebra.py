@@ -275,7 +275,7 @@ def _kept(robot: Manipulator, lengths: Lengths) -> dict[str, Length]:
         if symbol not in named:
             raise RobotError(
                 f"robot {robot.name!r} has no length {symbol!r};"
-                f" it has {', '.join(named) or 'none'}"
+                f" expected symbolic, numeric, or some of {', '.join(named) or 'none'}"
             )
     for symbol, length in named.items():
         if symbol not in lengths and length.value is None:

@@ -322,7 +322,7 @@ def wanted_indices(network: CSLC, names: Sequence[str] | None) -> Int[np.ndarray
         else:
             expected = ", ".join(dict.fromkeys((*layout.groups, *layout.kinds)))
             raise ValueError(
-                f"{name!r} is no coefficient or group of {network.name!r}; expected names or some"
+                f"{network.name!r} has no coefficient or group {name!r}; expected names or some"
                 f" of {expected}"
             )
     return np.array(sorted(indices), int)

@@ -420,7 +420,7 @@ def _toml(
 def _element(elements: Mapping[str, Element], name: str, what: str, source: Source) -> Element:
     if name not in elements:
         raise RobotError(
-            f"{source.path}: {what} {name!r} is no element of this file (included or"
+            f"{source.path}: {what} {name!r} is not an element of this file (included or"
             " unnamed ones cannot be written)"
         )
     return elements[name]

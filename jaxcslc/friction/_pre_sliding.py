@@ -99,7 +99,7 @@ def checked_distance(network: CSLC, presliding_distance: Any) -> Float[np.ndarra
     if without:
         label = network.output_names[min(without)]
         raise ValueError(
-            f"presliding_distance: {label} has no friction of kind 'dry', which they are of"
+            f"presliding_distance: {label} has no friction of kind 'dry'; expected it for pre-sliding"
         )
     return values
 
@@ -197,7 +197,7 @@ def dry_term(network: CSLC) -> JointTerm:
     for term in network.terms:
         if isinstance(term, JointTerm) and term.kind == "dry":
             return term
-    raise ValueError(f"{network.name!r} has no friction of kind 'dry', which pre-sliding is of")
+    raise ValueError(f"{network.name!r} has no friction of kind 'dry'; expected it for pre-sliding")
 
 
 def along_motion(

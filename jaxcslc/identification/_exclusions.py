@@ -205,8 +205,8 @@ def check_request(request: Request) -> None:
     """
     if request.friction not in ("auto", "offset", None):
         raise ValueError(
-            f"friction: expected 'auto', 'offset' or None, got {request.friction!r}; by None terms"
-            " are those of the network"
+            f"friction: expected 'auto', 'offset' or None, got {request.friction!r}; None keeps"
+            " the network's terms"
         )
     if request.possible not in get_args(Choice):
         raise ValueError(

@@ -256,7 +256,7 @@ def held_step(
     acceleration.
     """
     if network.load_terms:
-        raise ValueError("simulation: knows no friction of kind 'load'; remove it")
+        raise ValueError("simulation: friction of kind 'load' is not supported; remove the term")
     steps = max(1, int(np.ceil(interval / _LONGEST_STEP - 1e-9)))
     h = interval / steps
     others, dry, length = (

@@ -117,8 +117,8 @@ def check_nothing_known(network: AbstractLinearNetwork, what: str) -> None:
     """**Raises** `ValueError` if coefficients are numbers, which `what` would fit."""
     if known := network.known_values:
         raise ValueError(
-            f"{what}: {', '.join(known)} of {network.name!r} are numbers, by known masses, which"
-            " LeastSquares.fit keeps; elsewhere say them as a prior"
+            f"{what}: {', '.join(known)} of {network.name!r} are fixed by known masses, which"
+            " only LeastSquares.fit supports; pass what is known as a prior instead"
         )
 
 
@@ -448,7 +448,7 @@ def _indices(network: AbstractLinearNetwork, groups: Sequence[str]) -> tuple[int
         raise ValueError(f"groups: none is given; expected some of {listed}")
     for name in names:
         if name not in there and name not in network.names:
-            raise ValueError(f"groups: {name!r} is none; expected some of {listed}")
+            raise ValueError(f"groups: there is no {name!r}; expected some of {listed}")
     return tuple(
         index
         for index, coefficient in enumerate(network.coefficients)

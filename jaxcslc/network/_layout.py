@@ -240,8 +240,8 @@ class Layout:
             mask = np.array([name in (c.name, c.group) for c in self.coefficients], bool)
             if not mask.any():
                 raise ValueError(
-                    f"{name!r} is no coefficient and no group; expected some of"
-                    f" {', '.join(self.groups)}, and names, {self.names[0]} to {self.names[-1]}"
+                    f"{name!r} is neither a coefficient nor a group; expected some of"
+                    f" {', '.join(self.groups)}, or names from {self.names[0]} to {self.names[-1]}"
                 )
             selected |= mask
         return np.flatnonzero(selected)

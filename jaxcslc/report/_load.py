@@ -31,7 +31,7 @@ def read_files(
     - `ValueError`: there is no such file, or it holds something else.
     """
     file = identification_file(path)
-    document = _document(file, "identification")
+    document = _document(file, "identification.json, or a folder with one")
     fit = _fit(document, file)
     _check_texts(document, file)
     settings = load_settings(file) if "settings" in document else None
@@ -69,7 +69,8 @@ def load_settings(path: str | Path) -> Settings:
     try:
         return settings_from(entries)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        # With its traceback, which leads the command to the page on settings.
+        raise ValueError(f"{path}: {error}").with_traceback(error.__traceback__) from None
 
 
 def identification_file(path: str | Path) -> Path:
@@ -84,7 +85,7 @@ def _document(path: Path, kind: str) -> dict[str, Any]:
     except FileNotFoundError:
         raise ValueError(f"{path}: no such {kind}") from None
     except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ValueError(f"{path}: not valid JSON: {error}") from None
+        raise ValueError(f"{path}: not valid JSON: {error}; expected {kind}") from None
     if not isinstance(document, dict):
         raise ValueError(f"{path}: expected a JSON object ({kind})")
     return document

@@ -94,8 +94,8 @@ class AbstractSection:
         - `ValueError`: `data` hold something else.
         """
         raise AttributeError(
-            f"{name}: of a report that was loaded, report.section({self.name!r}).data has what its"
-            " files hold"
+            f"{name}: a loaded report does not have it; report.section({self.name!r}).data has what"
+            " its files hold"
         )
 
     def text(self, report: AnyReport) -> Iterator[Sequence[str]]:

@@ -75,7 +75,7 @@ def load_servo_recordings(
     data_set = path if (path / LEROBOT_INFO).exists() else None
     if data_set is None and (units is not None or calibration is not None):
         raise RecordingError(
-            f"{path}: units and calibration are of LeRobot data sets; expected a folder with"
+            f"{path}: units and calibration apply to LeRobot data sets only; expected a folder with"
             f" {LEROBOT_INFO}, or units in a file of --columns"
         )
     if data_set is not None:
@@ -170,7 +170,7 @@ def _sage_columns(folder: Path) -> tuple[dict[str, np.ndarray], list[str]]:
     """
     names_file, state_file = folder / "joint_list.txt", _sage_file(folder, "state_motor")
     if state_file is None:
-        raise RecordingError(f"{folder}: no state_motor.csv; expected one beside control.csv")
+        raise RecordingError(f"{folder}: no state_motor.csv; expected one next to control.csv")
     try:
         names = names_file.read_text(encoding="utf-8").split()
     except (OSError, UnicodeDecodeError) as error:

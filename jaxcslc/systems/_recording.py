@@ -232,7 +232,7 @@ def system_patterns(
     """
     preparation = Preparation() if preparation is None else preparation
     if preparation.backlash:
-        raise ValueError("preparation: possible backlash is of joints; expected backlash=False")
+        raise ValueError("preparation: backlash applies to robots only; expected backlash=False")
     if derivatives is None:
         derivatives = system_derivatives(system, recording, preparation)
     trim = preparation.trimmed_of(recording.time, max(len(system.states), 1))

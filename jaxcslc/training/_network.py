@@ -81,7 +81,7 @@ class Links:
                     f" {'…' if limit is None else limit - 1}"
                 )
         if not np.isfinite(self.multiple).all() or (self.multiple == 0).any():
-            raise ValueError("links: multiples must be finite and not zero; leave such links out")
+            raise ValueError("links: multiples must be finite and not zero; remove such links")
         for field in fields:
             field.flags.writeable = False
         self._key = (inputs, nodes, *(field.tobytes() for field in fields))

@@ -178,7 +178,7 @@ def test_wrong_files(text: str, message: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("prior", "options", "message"),
     [
-        (Prior({"kx": Known(1.0)}), {}, "'kx' is none of 'elbow"),
+        (Prior({"kx": Known(1.0)}), {}, "has no 'kx'; expected some of"),
         (Prior({}, {"3": {"mass": Known(1.0)}}), {}, "'3' names no link of 'elbow'; expected one"),
         (
             Prior({}, {"2": {"mass": Known(1.0)}}),

@@ -56,7 +56,9 @@ def test_every_symbol_kept_is_the_symbolic_form_without_its_numbering() -> None:
 
 
 def test_refused() -> None:
-    with pytest.raises(jc.RobotError, match="has no length 'a9'; it has d2, "):
+    with pytest.raises(
+        jc.RobotError, match="has no length 'a9'; expected symbolic, numeric, or some of d2, "
+    ):
         jc.derive(jc.puma560(), lengths=["a9"])
     with pytest.raises(
         ValueError, match="'symbolic', 'numeric', 'auto' or a list of names, got 'some'"

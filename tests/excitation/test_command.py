@@ -135,7 +135,7 @@ def test_a_motion_for_a_payload(folder: Path) -> None:
         (("--start", "a"), "--start: expected numbers as in 0.1,0.2, got 'a'"),
         (("--start", "1,2"), "start: expected 1 positions"),
         (("--limits", "none.toml"), "none.toml: no such file of limits"),
-        (("--for", "kd9"), "'kd9' is no coefficient or group"),
+        (("--for", "kd9"), "has no coefficient or group 'kd9'"),
         (("--payload", "-1"), "--payload: expected a number from 0 on, got '-1'"),
         (("--starts", "0"), "--starts: expected a whole number from 1 on, got '0'"),
         (("--duration", "0"), "--duration: expected a number above 0, got '0'"),

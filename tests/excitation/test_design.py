@@ -231,7 +231,7 @@ def test_an_infeasible_wish_names_the_limit() -> None:
     ("arguments", "message"),
     [
         ({"goal": Goal("bodies")}, "criterion 'bodies': the file of .* has no masses"),
-        ({"goal": Goal(wanted=["kd9"])}, "'kd9' is no coefficient or group"),
+        ({"goal": Goal(wanted=["kd9"])}, "has no coefficient or group 'kd9'"),
         ({"family": "other"}, "family: expected splines, fourier, periodic, moves, got 'other'"),
         ({"start": np.zeros(2)}, "start: expected 1 positions"),
     ],

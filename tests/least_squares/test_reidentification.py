@@ -236,7 +236,9 @@ def test_failures(arm: jc.CSLC, puma: jc.CSLC, rng: np.random.Generator) -> None
     k = rng.normal(size=arm.size)
     patterns = _drawn(arm, k, rng, 60, 0.1)
     fit = ORDINARY.fit(arm, patterns)
-    with pytest.raises(ValueError, match="'wet' is none; expected some of base, viscous, dry, and"):
+    with pytest.raises(
+        ValueError, match="there is no 'wet'; expected some of base, viscous, dry, and"
+    ):
         jc.reidentify(arm, patterns, k, groups=("viscous", "wet"), solver=ORDINARY)
     with pytest.raises(ValueError, match="none is given"):
         jc.reidentify(arm, patterns, k, groups=(), solver=ORDINARY)

@@ -178,7 +178,10 @@ class TestLayout:
     @pytest.mark.parametrize(
         ("ask", "message"),
         [
-            (lambda layout: layout.indices("kv9"), "'kv9' is no coefficient and no group; expec"),
+            (
+                lambda layout: layout.indices("kv9"),
+                "'kv9' is neither a coefficient nor a group; expec",
+            ),
             (
                 lambda layout: layout.term_slice("static"),
                 "the network has no term 'static'; it has rig",

@@ -114,7 +114,8 @@ def load_robot(
     if suffix == ".toml":
         if base is not None or tips or fixed or mimic:
             raise RobotError(
-                f"{path}: base, tip, fix and mimic are of URDF and MJCF files; TOML has one robot"
+                f"{path}: base, tip, fix and mimic apply to URDF and MJCF files only; a TOML file"
+                " describes one robot"
             )
         return read_toml(path)
     if suffix == ".xacro":
@@ -366,7 +367,7 @@ def _fixed(tree: BodyTree, path: Path, fix: Sequence[str]) -> set[str]:
         bodies = [i for i, body in enumerate(tree.bodies) if fnmatchcase(body.name, pattern)]
         if not joints and not bodies:
             raise RobotError(
-                f"{path}: fix {pattern!r} is none of its bodies and none of its joints:"
+                f"{path}: fix {pattern!r} matches no body and no joint; its joints are"
                 f" {_some([joint.name for joint in tree.joints])}"
             )
         beyond = set[int]().union(*map(tree.carried_by, bodies))
@@ -425,4 +426,4 @@ def _only_what_is_modelled(
 
 def _some(names: Sequence[str]) -> str:
     listed = ", ".join(names[:_LISTED])
-    return listed if len(names) <= _LISTED else f"{listed} and {len(names) - _LISTED} others"
+    return listed if len(names) <= _LISTED else f"{listed} and {len(names) - _LISTED} more"

@@ -208,7 +208,7 @@ def check_urdf(root: Element, path: Path) -> None:
         for end in ("parent", "child"):
             ends[end] = _end(joint, end)
             if ends[end] not in links:
-                raise RobotError(f"{at}: its {end} {ends[end]!r} is no link of this file")
+                raise RobotError(f"{at}: its {end} {ends[end]!r} is not a link of this file")
         child = ends["child"]
         if child in carried_by:
             raise RobotError(

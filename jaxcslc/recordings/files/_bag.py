@@ -358,7 +358,9 @@ def _opened(path: Path) -> Generator[Any]:
         raise
     except Exception as error:  # decompression, SQLite, YAML and rosbags have errors of their own
         reason = one_line(error) or type(error).__name__
-        raise RecordingError(f"{path}: is no readable bag: {reason}") from error
+        raise RecordingError(
+            f"{path}: is no readable bag: {reason}; expected a complete bag of ROS 1 or ROS 2"
+        ) from error
 
 
 def _listed(groups: Iterable[JointStates]) -> str:

@@ -100,7 +100,9 @@ class MappedQuantity:
         if isinstance(self.columns, tuple):
             return tuple(map(LayoutColumn, self.columns))
         if count is None:
-            raise RecordingError(f"{where}, columns: expected a list, or joints = [...] beside it")
+            raise RecordingError(
+                f"{where}, columns: expected a list, or an entry joints = [...] as well"
+            )
         return tuple(
             LayoutColumn(_filled(self.columns, str(i) if names is None else names[i - 1], i))
             for i in range(1, count + 1)
