@@ -26,7 +26,7 @@ _ROUNDING = 1e-9
 
 
 def body_of(link: LinkParameters) -> Float[np.ndarray, "10"]:
-    """The ten numbers of `BODY`: what a rigid body's dynamics are linear in."""
+    """Return the ten numbers of `BODY`: what a rigid body's dynamics are linear in."""
     mass, centre = float(link.mass), np.asarray(link.centre_of_gravity, float)
     tensor = np.asarray(link.inertia, float) + mass * (
         centre @ centre * np.eye(3) - np.outer(centre, centre)
@@ -36,7 +36,7 @@ def body_of(link: LinkParameters) -> Float[np.ndarray, "10"]:
 
 
 def link_of(body: Float[np.ndarray, "10"], motor_inertia: float = 0.0) -> LinkParameters:
-    """The link of a body of positive mass: the inverse of `body_of`."""
+    """Return the link of a body of positive mass: the inverse of `body_of`."""
     mass, centre = float(body[MASS]), body[MOMENT] / body[MASS]
     tensor = central_tensor(body)
     return LinkParameters(mass, centre, (tensor + tensor.T) / 2, motor_inertia)
@@ -52,7 +52,7 @@ def central_tensor(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "3 3"]:
 
 
 def pseudo_inertia(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "4 4"]:
-    """The 4 x 4 matrix ∫ (x, 1)(x, 1)ᵀ dm of a body (Wensing, Kim and Slotine 2018).
+    """Return the 4 x 4 matrix ∫ (x, 1)(x, 1)ᵀ dm of a body (Wensing, Kim and Slotine 2018).
 
     A body can exist if and only if it is positive semidefinite: it holds the mass, the first
     moment and the spread of mass tr(I)/2 - I, all at once.
@@ -67,7 +67,7 @@ def pseudo_inertia(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "4 4"]:
 
 
 def body_of_pseudo_inertia(matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "10"]:
-    """The inverse of `pseudo_inertia`; linear."""
+    """Return the inverse of `pseudo_inertia`; linear."""
     spread = np.diag(matrix)[:3]
     off = [-matrix[a, b] for a, b in _PAIRS]
     return np.array([*(np.sum(spread) - spread), *off, *matrix[:3, 3], matrix[3, 3]])

@@ -232,7 +232,7 @@ def nearest_body(
     *,
     least: float = 1e-3,
 ) -> Float[np.ndarray, "10"] | None:
-    """The body that can exist nearest to an estimate of its ten numbers (`BODY`).
+    """Return the physically consistent body nearest to an estimate of its ten numbers (`BODY`).
 
     The semidefinite programme of `physical_parameters` for one body: nearest in standard errors
     of `covariance`, on the combinations that are determined; along the `undetermined` ones,

@@ -123,7 +123,7 @@ def physical_parameters(
     least: float = LEAST,
     knowledge: Sequence[LinkKnowledge] = (),
 ) -> PhysicalParameters:
-    """The physically possible masses, centres of gravity and inertia tensors nearest to a fit.
+    """Return the physically consistent masses, centres and inertia tensors nearest to a fit.
 
     Identified coefficients are combinations of link parameters, and may be combinations that no
     robot has. Every body has a positive definite pseudo-inertia matrix
@@ -270,7 +270,7 @@ def possible_coefficients(
     prior: Sequence[LinkParameters] | None = None,
     confidence: Confidence | None = None,
 ) -> Float[np.ndarray, " coefficients"]:
-    """The coefficients of `physical_parameters`, without the parameters.
+    """Return the coefficients of `physical_parameters`, without the parameters.
 
     **Raises** as `physical_parameters`.
     """

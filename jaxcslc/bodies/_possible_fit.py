@@ -72,7 +72,8 @@ def moved_bodies(
     *,
     motors: bool = True,
 ) -> tuple[str, ...]:
-    """A sentence about bodies whose coefficients are those of no body, and what to do; or none.
+    """Return a sentence about bodies whose coefficients are those of no body, and what to do; or
+    none.
 
     - `systematic`: of the fit.
     - `motors`: whether motor inertia was allowed for.
@@ -114,7 +115,7 @@ def moved_bodies(
 
 
 def other_masses(network: CSLC, parameters: PhysicalParameters) -> tuple[str, ...]:
-    """A sentence about masses that compensate each other far from the file's, or none.
+    """Return a sentence about masses that compensate each other far from the file's, or none.
 
     Written into a robot's file they surprise: the torque that they give is right, but they are not
     those of the links.
@@ -325,7 +326,8 @@ def possible_fit(
     parameters: PhysicalParameters | None = None,
     step: Callable[[str], None] = lambda _: None,
 ) -> PossibleFit:
-    """The consistent bodies nearest to a fit, and whether they predict torque better than it does.
+    """Return the consistent bodies nearest to a fit, and whether they predict torque better than it
+    does.
 
     Both are judged on the same parts of the motion, each predicted by fits to the others, one with
     and one without consistent bodies. The bodies are used where the mean logarithm of the ratio of

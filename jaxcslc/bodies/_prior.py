@@ -393,7 +393,7 @@ def with_knowledge(
 def with_knowledge(
     fit: Identification | FoldFit, known: Mapping[int, Known], rows: KnownRows | None = None
 ) -> Identification | FoldFit:
-    """A fit to which is added what was known of its coefficients before.
+    """Add prior knowledge of coefficients to a fit.
 
     Least squares with a row more for each value, in units of its error. The equations of the
     recording enter by the fit and its covariance for independent errors, which say of them all that

@@ -26,7 +26,7 @@ class Cause:
     """A finding, and the evidence without what it names.
 
     - `finding`: with its evidence.
-    - `gain`: how much lower the mean logarithm of the errors is once the cause is mended.
+    - `gain`: decrease of the mean logarithm of the errors once the cause is corrected.
     - `mended`: returns the evidence of the recording without what the finding names; None if
       nothing else can be judged with it.
     """

@@ -41,7 +41,7 @@ class Expressions:
         self._indices: dict[Operation, int] = {}
 
     def input(self, text: str) -> "Value":
-        """An input, by its name in generated code."""
+        """Return an input, by its name in generated code."""
         return self._value(Operation("input", text=text))
 
     def inputs(self, name: str, count: int) -> list["Value"]:
@@ -49,13 +49,13 @@ class Expressions:
         return [self.input(f"{name}[{i}]") for i in range(count)]
 
     def constant(self, number: float) -> "Value":
-        """A number; negative ones are the negatives of positive ones."""
+        """Return a number; negative ones are the negatives of positive ones."""
         if number < 0:
             return -self.constant(-number)
         return self._value(Operation("constant", number=float(number) + 0.0))
 
     def apply(self, name: str, x: "Value") -> "Value":
-        """A function of one value: sin, cos, exp, sqrt, fabs, sign, positive, negative."""
+        """Return a function of one value: sin, cos, exp, sqrt, fabs, sign, positive, negative."""
         return self._value(Operation(name, (x.index,)))
 
     def equal(self, x: "Value", y: "Value") -> "Value":

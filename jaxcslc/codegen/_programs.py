@@ -73,7 +73,7 @@ class Program:
 
     @classmethod
     def of(cls, motion: Motion, outputs: Sequence[Value]) -> "Program":
-        """The program of values, one a row of its result."""
+        """Return the program of values, each one a row of its result."""
         operations, needed = motion.graph.operations, motion.graph.needed(outputs)
         motions = {x.index: i for i, x in enumerate((*motion.q, *motion.qd, *motion.qdd))}
         inputs = [index for index in needed if index in motions]

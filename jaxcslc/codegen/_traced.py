@@ -36,7 +36,8 @@ def traced(
     function: Callable[..., Any],
     arguments: Sequence[np.ndarray],
 ) -> list[np.ndarray] | None:
-    """The expressions of a function of JAX's arrays: the arithmetic of its results, one by one.
+    """Return the expressions of a function of JAX's arrays: the arithmetic of its results, one by
+    one.
 
     Sums of products with matrices that are mostly zero, which JAX computes as such, lose
     everything that is multiplied by zero.

@@ -27,7 +27,7 @@ _TANGENT_DENOMINATOR = 2**52
 
 
 def exact_number(value: float):
-    """The rational that the shortest decimal of a float says: 0.4318 is 4318/10000.
+    """Return the rational that the shortest decimal of a float says: 0.4318 is 4318/10000.
 
     >>> exact_number(0.25)
     1/4
@@ -227,7 +227,7 @@ class Chain:
 
     @classmethod
     def from_robot(cls, robot: Manipulator) -> "Chain":
-        """The chain or tree of a robot's joints."""
+        """Return the chain or tree of a robot's joints."""
         return cls.from_joints(robot.joints, robot.parents)
 
     @classmethod
@@ -303,7 +303,7 @@ def link_twists(
     gravity: Vector,
     reduce: Reduce = unchanged,
 ) -> tuple[LinkTwists, ...]:
-    """The columns of every link's geometric Jacobian, in the link's frame.
+    """Return the columns of every link's geometric Jacobian, in the link's frame.
 
     They are what Eqn. 2.3-24 needs of the transforms: dT_i/dq_j = T_i X_j, where X_j is the
     4 x 4 twist of joint j in frame i, so that the rotation in T_i drops out of the

@@ -48,15 +48,15 @@ class LinkFrame:
     step: Vector
 
     def inwards(self, x: Vector) -> Vector:
-        """A vector's components in the parent's axes, from those in the link's."""
+        """Return a vector's components in the parent's axes, from those in the link's."""
         return rotate("z", rotate("x", rotate("z", x, self.joint), self.twist), self.branch)
 
     def outwards(self, x: Vector) -> Vector:
-        """A vector's components in the link's axes, from those in the parent's."""
+        """Return a vector's components in the link's axes, from those in the parent's."""
         return unrotate("z", unrotate("x", unrotate("z", x, self.branch), self.twist), self.joint)
 
     def along(self, force: Vector, moment: Vector) -> Any:
-        """The part of a wrench that the joint's motor bears."""
+        """Return the part of a wrench that the joint's motor bears."""
         return force[2] if self.prismatic else moment[2]
 
 
@@ -68,7 +68,7 @@ def link_frames(
     d: Sequence[Any],
     b: Sequence[Any],
 ) -> tuple[LinkFrame, ...]:
-    """The links' frames at one position (modified Denavit-Hartenberg, Eqn. 2.6-1).
+    """Return the links' frames at one position (modified Denavit-Hartenberg, Eqn. 2.6-1).
 
     **Arguments**
 
@@ -198,7 +198,7 @@ class NewtonEuler:
         return rows
 
     def states(self, qd: Sequence[Any], qdd: Sequence[Any]) -> list[LinkState]:
-        """The outward recursion: motion of every link."""
+        """Return the outward recursion: motion of every link."""
         base = LinkState(ZERO, ZERO, scale(-1, self.gravity), _spin(ZERO, ZERO))
         states: list[LinkState] = []
         for frame, rate, gain in zip(self.frames, qd, qdd, strict=True):

@@ -150,7 +150,7 @@ class PositionRing:
         return self._generators[1 : 2 * len(self.chain.angles) : 2]
 
     def joint_variable(self, joint: int) -> Any:
-        """The variable of a prismatic joint, joints counted from 0."""
+        """Return the variable of a prismatic joint, joints counted from 0."""
         return self._generators[2 * len(self.chain.angles) + self._prismatic.index(joint)]
 
     def constant(self, name: str) -> Any:
@@ -232,11 +232,11 @@ class PositionRing:
         ]
 
     def label(self, monomial: Monomial) -> str:
-        """A product as it is printed: `"c23*s4*c5^2"`, and `"1"` for the constant."""
+        """Return a product as it is printed: `"c23*s4*c5^2"`, and `"1"` for the constant."""
         return product_text(zip(self.variables, monomial, strict=True)) or "1"
 
     def parse(self, label: str) -> Monomial | None:
-        """The monomial that `label` names, factors in any order, or None if it is not one."""
+        """Return the monomial that `label` names, factors in any order; None if it is not one."""
         powers = dict.fromkeys(self.variables, 0)
         for factor in [] if label == "1" else label.split("*"):
             name, _, power = factor.partition("^")

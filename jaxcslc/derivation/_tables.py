@@ -60,7 +60,7 @@ class Coefficient:
         return bool(self.addends) and all(x.term.known is not None for x in self.addends)
 
     def known_value(self, constants: Mapping[str, float]) -> float:
-        """The number that it is if it `is_known`.
+        """Return the value of a coefficient that `is_known`.
 
         - `constants`: values of lengths and gravity, by name.
         """

@@ -142,7 +142,7 @@ class RobotFunction:
     - `summary`: the comment above it.
     - `inputs`: which of `q`, `qd`, `qdd` it takes.
     - `output`: name of the array that it fills.
-    - `values`: what it fills it with; None where `Dynamics.rigid_body` cannot say.
+    - `values`: of that array; None where `Dynamics.rigid_body` cannot say.
     - `has_friction`: whether it takes states of contacts, too, where there are any.
     """
 

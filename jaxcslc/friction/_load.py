@@ -46,7 +46,7 @@ class LoadFit(eqx.Module):
 
 
 def fit_load(network: CSLC, patterns: Patterns, *, solver: LeastSquares | None = None) -> LoadFit:
-    """The coefficients that fit best, friction in proportion to the load among them.
+    """Fit all coefficients together, those of load-dependent friction included.
 
     Torque is then no linear function of the coefficients: friction kl sign(qd) |R| of a joint
     depends on kl and on those of the rigid torque R = Y k. Gauss and Newton's method: at k, the

@@ -77,7 +77,7 @@ def contact_states(
 def state_after(
     w: Any, change: Any, length: Any, functions: AbstractFunctions = JAX_FUNCTIONS
 ) -> Any:
-    """The state of a contact after its joint has gone one way by `change` [rad or m].
+    """Return the state of a contact after its joint has gone one way by `change` [rad or m].
 
     Arguments are of one shape, or whatever else `functions` works on.
     """
@@ -99,7 +99,8 @@ def checked_distance(network: CSLC, presliding_distance: Any) -> Float[np.ndarra
     if without:
         label = network.output_names[min(without)]
         raise ValueError(
-            f"presliding_distance: {label} has no friction of kind 'dry'; expected it for pre-sliding"
+            f"presliding_distance: {label} has no friction of kind 'dry'; expected it for"
+            " pre-sliding"
         )
     return values
 
@@ -190,7 +191,7 @@ class YieldingFriction(AbstractManipulatorTerm):
 
 
 def dry_term(network: CSLC) -> JointTerm:
-    """The term of dry friction.
+    """Return the term of dry friction.
 
     **Raises** `ValueError` if there is none.
     """
@@ -206,7 +207,8 @@ def along_motion(
     presliding_distance: Float[np.ndarray, " joints"],
     start: Float[np.ndarray, " joints"] | None = None,
 ) -> CSLC:
-    """The network for the motion of patterns: contacts have states where they have a distance.
+    """Return the network for the motion of patterns: contacts have states where they have a
+    distance.
 
     A state forgets its start within a few such distances, and so that joints seem to move from one
     recording to the next where patterns of several are joined.
@@ -465,7 +467,7 @@ _SAVED = {"lengths": "presliding_distance", "tried_lengths": "tried_distance"}
 
 
 def pre_sliding_document(result: PreSlidingFit) -> dict[str, Any]:
-    """A `PreSlidingFit` as plain data, without its network."""
+    """Return a `PreSlidingFit` as plain data, without its network."""
     return {
         **{entry: getattr(result, name) for entry, name in _SAVED.items()},
         "relative": {

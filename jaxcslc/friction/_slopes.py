@@ -308,7 +308,7 @@ def fit_slopes(
     solver: LeastSquares | None = None,
     start: Float[Array | np.ndarray, " joints"] | None = None,
 ) -> SlopeFit:
-    """The coefficients and the slopes of static friction that fit best together (8.2.1).
+    """Fit the coefficients and the slopes of static friction together (8.2.1).
 
     The thesis would keep the slopes constant, so that torque stays linear in what is learnt. Here
     Powell's dogleg (`scipy.optimize.least_squares`) searches for their logarithms, and each of its

@@ -219,7 +219,7 @@ class Problem:
 
     @property
     def file_prior(self) -> FilePrior | None:
-        """The robot's file as prior; None without."""
+        """The robot's file as prior; None if it is not used."""
         return None if self.file is None else self.file.prior
 
     @property

@@ -153,7 +153,8 @@ def fit_torque_constants(
     *,
     solver: LeastSquares | None = None,
 ) -> TorqueConstants:
-    """The fit of `identify_torque_constants`, to patterns whose torques are currents.
+    """Fit torque constants like `identify_torque_constants`, to patterns whose torques are
+    currents.
 
     **Arguments** and **Raises** as there; `solver`: options of the fit.
     """

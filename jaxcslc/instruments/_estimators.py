@@ -391,7 +391,7 @@ class InstrumentalVariables(AbstractSimulationFit):
     """Identification by instruments from simulated motion: IDIM-IV.
 
     Noise of positions is in the regressor X and, through it, in the residual: least squares is
-    biased, the more the less is smoothed. The regressor Z of motion that was simulated with the
+    biased, more so with less smoothing. The regressor Z of motion that was simulated with the
     identified model is nearly that of the true motion, and independent of the noise:
 
         Zᵀ W² (torque - X k) = 0
@@ -399,7 +399,7 @@ class InstrumentalVariables(AbstractSimulationFit):
     has no such bias. Each solution is simulated in turn (Janot, Vandanjon and Gautier, 'A generic
     instrumental variable approach for industrial robot identification', IEEE Transactions on
     Control Systems Technology 22, 2014). Noise that changes signs of velocities remains: slow pairs
-    are left out, as of least squares.
+    are excluded, as in least squares.
 
     **Attributes**
 

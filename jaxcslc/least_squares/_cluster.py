@@ -101,7 +101,7 @@ class Work:
 
 
 def block_factors(path: str, work: Work) -> JointFactors:
-    """The factors of the equations of one file, in float64: what a worker of a cluster computes."""
+    """Compute the factors of the equations of one file, in float64, as a worker of a cluster."""
     with jax.enable_x64(True):  # a worker's process is the cluster's: nobody has set it up
         return _block_factors(path, work)
 
@@ -202,7 +202,7 @@ def fit_fleet_on_cluster(
     read: Callable[[Path], Recording] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> "Fleet":
-    """A fit of each file, on the workers of a Dask cluster: of a robot each, or of a day each.
+    """Fit each file by itself, on the workers of a Dask cluster: one robot or one day per file.
 
     **Arguments** and **Raises** as `fit_on_cluster`; a file that does not determine its
     coefficients, or is not finite, has a `result` that says so.
@@ -245,7 +245,9 @@ class Fleet:
     fits: Mapping[str, Identification]
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row a file: result, rank, condition, and each coefficient with its standard error."""
+        """Return one row per file: result, rank, condition, and each coefficient with its standard
+        error.
+        """
         return [
             {
                 "file": path,
@@ -264,7 +266,7 @@ class Fleet:
         ]
 
     def to_pandas(self) -> Any:
-        """The rows as a `pandas.DataFrame`, indexed by file."""
+        """Return the rows as a `pandas.DataFrame`, indexed by file."""
         pandas = require("pandas", "tables")
         return pandas.DataFrame(self.rows()).set_index("file")
 

@@ -128,8 +128,9 @@ class Equations:
         return np.sqrt(squares)
 
     def instants(self) -> tuple[Int[np.ndarray, " instants"], list[Int[np.ndarray, " _"]]]:
-        """The samples of all equations in ascending order, and for each joint which of them its
-        equations belong to."""
+        """Return the samples of all equations in ascending order, and for each joint which of them
+        its equations belong to.
+        """
         kept = np.unique(np.concatenate(self.sample))
         return kept, [np.searchsorted(kept, sample) for sample in self.sample]
 

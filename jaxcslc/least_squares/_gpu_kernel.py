@@ -83,7 +83,7 @@ def tiles_of(size: int) -> list[tuple[int, int]]:
 
 @lru_cache(maxsize=16)
 def gram_kernel(network: CSLC) -> GramKernel:
-    """The kernel of a network, from the expressions of its regressor's entries.
+    """Return the kernel of a network, from the expressions of its regressor's entries.
 
     Patterns go through three stages. Sines and cosines, and then columns, are computed as
     straight-line code, a pattern a thread; columns go to shared memory. Then each warp takes

@@ -254,7 +254,7 @@ class Identification(eqx.Module):
         return np.stack([k - half, k + half], axis=-1)
 
     def to_pandas(self, level: float = 0.95) -> Any:
-        """A `pandas.DataFrame`, one row a coefficient: value, standard error, interval.
+        """Return a `pandas.DataFrame`, one row per coefficient: value, standard error, interval.
 
         **Arguments**
 

@@ -153,13 +153,13 @@ class LeastSquares:
         fixed: Fixed | None = None,
         throw: bool = True,
     ) -> Identification:
-        """The coefficients that minimise the loss of the torque error over the masked patterns.
+        """Fit the coefficients that minimise the loss of the torque error over the masked patterns.
 
         **Arguments**
 
         - `network`: n joints, p coefficients.
         - `patterns`: motion and torque (samples, n); pairs outside of the mask are excluded.
-        - `fixed`: coefficients that keep their values; if None, all are fitted but those that
+        - `fixed`: coefficients that keep their values; if None, all are fitted except those that
           are numbers in the network (`network.known_values`).
         - `throw`: raise on NaN and on too few equations instead of returning the result code. A
           rank-deficient fit never raises: it returns the solution of least norm and names what is
@@ -225,14 +225,14 @@ class LeastSquares:
         fixed: Fixed | None = None,
         throw: bool = True,
     ) -> Identification:
-        """The ordinary fit of factorised patterns, its errors for independent noise."""
+        """Fit factorised patterns by ordinary least squares, with errors for independent noise."""
         unknowns, fixed = Unknowns.of(network), fixed or Fixed.from_known(network)
         return checked(self._fit_rows(unknowns, factors, None, fixed), throw)
 
     def fit_equations(
         self, equations: Equations, samples: int, fixed: Fixed | None = None, throw: bool = True
     ) -> Identification:
-        """The fit of equations of recordings of so many samples, as `fit`; on the host."""
+        """Fit equations of recordings with these numbers of samples, like `fit`; on the host."""
         rows = Rows.from_equations(equations, samples) if self._passes_twice else None
         return checked(self._fit_rows(equations.unknowns, equations.factors(), rows, fixed), throw)
 
@@ -247,8 +247,9 @@ class LeastSquares:
             return minimum_coefficients(unknowns, factors, weights, self.rcond)
 
     def equations(self, network: AbstractLinearNetwork, patterns: Patterns) -> Equations:
-        """The equations that `fit` solves, one for each pair of the mask, or those that the
-        parallel filter makes of them; on the host."""
+        """Return the equations that `fit` solves, one for each pair of the mask, or those that the
+        parallel filter makes of them; on the host.
+        """
         check_patterns(network, patterns)
         check_nothing_known(network, "equations")
         return equations_of(network, patterns, self.cutoff)
@@ -260,7 +261,7 @@ class LeastSquares:
         fold: Int[np.ndarray, " samples"],
         columns: HostColumns | None = None,
     ) -> Float[np.ndarray, "folds coefficients"]:
-        """The coefficients fitted to all folds but one, for each held-out fold; on the host.
+        """Fit coefficients to all folds except one, for each held-out fold; on the host.
 
         - `fold`, `columns`: as of `held_out_errors`.
         """
@@ -449,7 +450,7 @@ class WeightedEquations:
         return cls(equations, np.asarray(weights), roots, solver.rcond)
 
     def solution(self, equations: Equations) -> Solution:
-        """The minimum of other equations of the same pairs, with the same weights."""
+        """Return the minimum of other equations of the same pairs, with the same weights."""
         return self.minimum(equations.unknowns, equations.times(self.roots).factors())
 
     def factors_of_folds(
@@ -462,7 +463,7 @@ class WeightedEquations:
         return equations.times(self.roots).factors_of_folds(fold, int(fold[-1]) + 1)
 
     def minimum(self, unknowns: Unknowns, factors: JointFactors) -> Solution:
-        """The minimum of factorised equations, joints weighted as here."""
+        """Return the minimum of factorised equations, joints weighted as here."""
         return minimum(unknowns, factors, self.weights, self.rcond)
 
     def shifts(

@@ -98,8 +98,9 @@ class Fixed(eqx.Module):
 
     @classmethod
     def from_known(cls, network: AbstractLinearNetwork) -> "Fixed | None":
-        """The coefficients that are numbers (`network.known_values`), without errors; None if
-        none is."""
+        """Return the coefficients that are numbers (`network.known_values`), without errors; None
+        if none is.
+        """
         if not (known := network.known_values):
             return None
         free = tuple(i for i, name in enumerate(network.names) if name not in known)
@@ -156,7 +157,7 @@ def minimum(
     rcond: float | None,
     fixed: Fixed | None = None,
 ) -> Solution:
-    """The least-squares solution of factorised equations, joints weighted.
+    """Return the least-squares solution of factorised equations, joints weighted.
 
     A singular value decomposition of the one triangle that is left, its columns scaled to unit
     length. What fixed coefficients explain is taken off the target; their columns come behind

@@ -280,7 +280,7 @@ def corrected(
     weights: Float[Numbers, " joints"],
     sums: Float[np.ndarray, "blocks 2 entries"],
 ) -> Solution:
-    """The solution after one step of iterative refinement.
+    """Return the solution after one step of iterative refinement.
 
     What is left of the equations by the first solution is computed from the rows themselves, its
     products with the columns are summed in twice the precision, and the factors need then be good

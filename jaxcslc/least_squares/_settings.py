@@ -107,7 +107,7 @@ class Settings:
     chosen_on: Sampling | None = dataclasses.field(default=None, compare=False)
 
     def with_options(self, **options: Any) -> "Settings":
-        """The settings with some options of their preparation or solver changed.
+        """Return the settings with some options of their preparation or solver changed.
 
         **Arguments**
 
@@ -144,7 +144,7 @@ class Settings:
         )
 
     def for_network(self, network: CSLC) -> "Settings":
-        """The settings with what depends on the network's terms spelled out.
+        """Return the settings with all values that depend on the network's terms filled in.
 
         **Arguments**
 
@@ -169,7 +169,7 @@ class Settings:
         return self.preparation.patterns(recording)
 
     def fit(self, network: AbstractLinearNetwork, patterns: Patterns) -> Identification:
-        """The direct solve under these settings.
+        """Fit by the direct solve under these settings.
 
         **Raises**
 
@@ -184,7 +184,7 @@ class Settings:
         previous: Previous,
         groups: Sequence[str],
     ) -> Identification:
-        """A part of the coefficients under these settings.
+        """Fit a part of the coefficients under these settings.
 
         **Raises**
 

@@ -208,7 +208,7 @@ def solved(
     transposed: bool = False,
     overwrite: bool = False,
 ) -> Float[np.ndarray, "inner columns"]:
-    """The solution for the triangle of a banded factorisation, or for its transpose.
+    """Return the solution for the triangle of a banded factorisation, or for its transpose.
 
     LAPACK's routine solves column by column, each with one vector product a row: for the sixty
     columns of an arm's border, 19 unknowns apart at most, C code that takes all columns of a row at

@@ -246,7 +246,8 @@ def equation_changes(
 def equation_gradients(
     by_position: ByPosition, by_border: JointColumns, force: Rows
 ) -> tuple[Samples, Float[np.ndarray, " border"]]:
-    """The transpose: sums of equations' derivatives times `force`, by positions and by the border.
+    """Return the transpose: sums of equations' derivatives times `force`, by positions and by the
+    border.
 
     >>> import numpy as np
     >>> by_position = np.array([[[1.0, 10.0, 100.0]], [[2.0, 20.0, 200.0]]])

@@ -23,12 +23,13 @@ _MOST_LINEAR_HALVINGS = 20
 class LinearMinimum:
     """The step to the minimum of an objective, were all equations of motion linear.
 
-    Counts and bounds of joints that stick are flat on one side and steep on the other. Parabolas
-    about the present residuals are those of one side: the step to their minimum goes far beyond the
-    other one, and what it promises never comes. So where the laws are steeper, their parabolas are
-    taken where that step ends, and it is solved again, without another evaluation of the equations
-    of motion: an active set. (Newton's method, which takes all parabolas from there, goes to and
-    fro between the sides where a joint creeps before it turns, and leans on its bound for long.)
+    Laws of encoder intervals and of joints that stick are flat on one side and steep on the other.
+    A parabola about the present residual is that of one side: the step to its minimum overshoots on
+    the other side, and the predicted decrease does not occur. So where the laws are steeper, their
+    parabolas are taken at the end of that step, and it is solved again, without another evaluation
+    of the equations of motion: an active set. (Newton's method takes all parabolas from there. It
+    alternates between the sides where a joint creeps before it turns, and leans on its bound for
+    long.)
 
     **Attributes**
 

@@ -168,7 +168,7 @@ def motor_inertia(rotor_inertia: float, gear_ratio: float) -> float:
 
 
 def seen_from(link: LinkParameters, pose: Float[Array | np.ndarray, "4 4"]) -> LinkParameters:
-    """A body's parameters in another frame, in which the link's frame has pose `pose`.
+    """Return a body's parameters in another frame, in which the link's frame has pose `pose`.
 
     Motor inertia is of the joint and stays as it is.
     """

@@ -289,7 +289,7 @@ class Manipulator:
         lengths: Mapping[str, float | int] | None = None,
         name: str = "robot",
     ) -> "Manipulator":
-        """A robot from modified Denavit-Hartenberg rows, as in Craig.
+        """Return a robot from modified Denavit-Hartenberg rows, as in Craig.
 
         **Arguments**
 
@@ -455,7 +455,8 @@ class Manipulator:
         return dataclasses.replace(self, inertia=tuple(inertia), numbering=None)
 
     def to_pandas(self) -> Any:
-        """A pandas table, one row a joint: parent, modified Denavit-Hartenberg row, parameters.
+        """Return a pandas table, one row per joint: parent, modified Denavit-Hartenberg row,
+        parameters.
 
         Lengths are in m, angles in rad, masses in kg, inertias at the centre of gravity in kg m².
 
@@ -575,7 +576,7 @@ class Manipulator:
         return values
 
     def named_lengths(self) -> dict[str, Length]:
-        """Every length that is not zero, by the name that symbolic expressions use."""
+        """Return every length that is not zero, by the name that symbolic expressions use."""
         named: dict[str, Length] = {}
         for i, joint in enumerate(self.joints, start=1):
             for letter, shift, length in joint.lengths:

@@ -208,7 +208,8 @@ class CSLC(AbstractLinearNetwork):
         return jnp.linalg.solve(mass, (tau - bias)[..., None])[..., 0]
 
     def without_friction(self, k: Vector) -> Float[Array, " coefficients"]:
-        """The coefficients of the same robot without friction: those of friction set to zero.
+        """Return the coefficients of the same robot without friction: those of friction set to
+        zero.
 
         Springs and the inertia that coupled joints share stay.
 
@@ -267,7 +268,7 @@ class CSLC(AbstractLinearNetwork):
         payload: LinkParameters | None = None,
         **friction: FrictionValues | None,
     ) -> Float[Array, " coefficients"]:
-        """The vector `k` of a robot whose physical parameters are known, (p,).
+        """Return the vector `k` of a robot whose physical parameters are known, (p,).
 
         **Arguments**
 

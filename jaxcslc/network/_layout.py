@@ -218,7 +218,7 @@ class Layout:
         return slice(0, self.payload.start)
 
     def term_slice(self, term: AbstractTerm | str) -> slice:
-        """The coefficients of a term, or of the term of a kind.
+        """Return the coefficients of a term, or of the term of a kind.
 
         **Raises** `ValueError` if there is no such term.
         """
@@ -249,7 +249,7 @@ class Layout:
     def split(
         self, k: Shaped[Array | np.ndarray, "*batch coefficients"]
     ) -> tuple[Shaped[Array | np.ndarray, "*batch _"], ...]:
-        """The coefficients of each term, in the order of `k`."""
+        """Return the coefficients of each term, in the order of `k`."""
         return tuple(k[..., part] for part in self.slices)
 
 

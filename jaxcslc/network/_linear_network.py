@@ -190,7 +190,7 @@ class AbstractLinearNetwork(eqx.Module):
         return {}
 
     def torque(self, k: Vector, q: Motion, qd: Motion, qdd: Motion) -> Float[Array, "..."]:
-        """The output of the whole network, (..., n): of a robot, every joint's torque [N m].
+        """Return the output of the network, (..., n): for a robot, every joint's torque [N m].
 
         - `k`: (p,); `q`, `qd`, `qdd`: (..., m).
 
@@ -206,7 +206,7 @@ class AbstractLinearNetwork(eqx.Module):
         return self._sum(self.terms, k, lambda term, k: term.torque(k, q, qd, qdd), shape)
 
     def regressor(self, q: Motion, qd: Motion, qdd: Motion) -> Float[Array, "..."]:
-        """The matrix that `k` is multiplied by: `regressor @ k == torque`, (..., n, p)."""
+        """Return the matrix that `k` is multiplied by: `regressor @ k == torque`, (..., n, p)."""
         _, q, qd, qdd = self._checked(None, q, qd, qdd)
         return jnp.concatenate([term.regressor(q, qd, qdd) for term in self.terms], axis=-1)
 
@@ -257,7 +257,8 @@ class AbstractLinearNetwork(eqx.Module):
         return not traced and all(term.has_host_columns for term in self.terms)
 
     def columns(self, q: MotionRows, qd: MotionRows, qdd: MotionRows) -> Columns:
-        """The regressor without what is always zero: for each output, (its support, samples).
+        """Return the regressor without what is always zero: for each output, (its support,
+        samples).
 
         Outputs first and samples last, unlike `regressor`: the layout to factorise many patterns
         in (a PUMA 560 has 100 such rows where the regressor has 6 x 43).

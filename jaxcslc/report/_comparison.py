@@ -64,7 +64,7 @@ class ReportComparison:
         return _verdict(self)
 
     def page(self) -> Page:
-        """The comparison as a `jaxcslc.report.Page`."""
+        """Return the comparison as a `jaxcslc.report.Page`."""
         tone, headline, messages = self.verdict
         reports = (self.first, self.second)
         robots = dict.fromkeys(report.model.name for report in reports if report.model.name)

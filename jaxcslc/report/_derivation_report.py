@@ -57,7 +57,7 @@ class DerivationReport:
 
     @classmethod
     def of(cls, network: CSLC) -> "DerivationReport":
-        """The report on a network."""
+        """Return the report on a network."""
         return cls(network, tuple(structural_identifiability(network.algebra)))
 
     @property

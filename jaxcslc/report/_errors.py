@@ -266,7 +266,7 @@ def fit_warnings(
 
 
 def condition_warning(fit: Identification) -> Iterator[str]:
-    """A sentence about a condition number that makes every coefficient meaningless."""
+    """Return a sentence about a condition number that makes every coefficient meaningless."""
     if not bool(fit.meaningful):
         yield (
             f"condition number {number_text(float(fit.condition), 2)} exceeds"

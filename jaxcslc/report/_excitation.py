@@ -81,7 +81,7 @@ class Excitation(eqx.Module):
         return text
 
     def to_pandas(self) -> Any:
-        """A `pandas.DataFrame`, one row a coefficient: variance inflation and `weakest`."""
+        """Return a `pandas.DataFrame`, a row per coefficient: variance inflation and `weakest`."""
         pandas = require("pandas", "tables")
 
         return pandas.DataFrame(

@@ -129,7 +129,7 @@ class Column:
         )
 
     def text(self, value: Value) -> str:
-        """A value as it is shown."""
+        """Return a value as it is shown."""
         if value is None:
             return ""
         if not isinstance(value, float):

@@ -198,7 +198,7 @@ class Candidates:
 
     @classmethod
     def suited_to(cls, recording: Recording, network: CSLC | None = None) -> "Candidates":
-        """The default candidates without those that a recording or a network cannot use.
+        """Return the default candidates without those that a recording or a network cannot use.
 
         Filters need uniform time and a sampling rate well above their cut-off, and leave three
         equations a coefficient at least; splines need some twenty knots, windows twenty times
@@ -243,7 +243,7 @@ class Candidates:
         )
 
     def keeping(self, settings: Settings) -> "Candidates":
-        """The candidates with masks, weights and filter as in settings.
+        """Return the candidates with masks, weights and filter as in settings.
 
         For another recording, sampled in another way than that which the settings were chosen
         on: what is left to choose is how to smooth and to align it.
@@ -280,7 +280,7 @@ class Candidates:
         )
 
     def families(self) -> tuple[SearchAxis, ...]:
-        """The smoothings, an axis of the search for each family."""
+        """Return the smoothings, an axis of the search for each family."""
         return tuple(
             SearchAxis("smoothing", tuple(family))
             for _, family in groupby(self.smoothings, key=type)

@@ -104,7 +104,7 @@ class FrictionTrial:
         return f"{self.kind} {self.relative}{differs}{length}{', used' if self.used else ''}"
 
     def document(self) -> dict[str, Any]:
-        """The trial as plain data."""
+        """Return the trial as plain data."""
         entries = dataclasses.asdict(self)
         relative, elsewhere = entries.pop("relative"), entries.pop("elsewhere")
         return {
@@ -152,7 +152,7 @@ class FrictionChoice:
         return (*tried, *(() if self.note is None else (self.note,)))
 
     def document(self) -> list[dict[str, Any]]:
-        """The trials as plain data."""
+        """Return the trials as plain data."""
         return [trial.document() for trial in self.trials]
 
     def with_pre_sliding(self, fit: PreSlidingFit) -> "FrictionChoice":

@@ -32,7 +32,8 @@ class Segment(NamedTuple):
 def section_of(
     network: CSLC, recording: Recording, memory: float, *, streamed: bool = True
 ) -> Segment | None:
-    """The part of a recording whose regressor fits into memory [GB], or None if all of it does.
+    """Return the part of a recording whose regressor fits into memory [GB], or None if all of it
+    does.
 
     Of sections of equal length without gaps that start at even distances, that in which joints
     cover the most: the greatest sum of logarithms of the standard deviations of positions and of

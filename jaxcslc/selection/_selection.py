@@ -250,8 +250,9 @@ class Selection:
         return next(trial for trial in self.trials if trial.settings == self.settings)
 
     def to_pandas(self) -> Any:
-        """A `pandas.DataFrame`, one row a trial: its settings in words, its score and its error of
-        each joint [N m or N]."""
+        """Return a `pandas.DataFrame`, one row per trial: its settings in words, its score and its
+        error of each joint [N m or N].
+        """
         pandas = require("pandas", "tables")
 
         return pandas.DataFrame(

@@ -33,7 +33,7 @@ _FEWEST = 20  # samples that slide; with fewer a joint starts from the table
 
 @dataclass(frozen=True)
 class Start:
-    """Where the search starts.
+    """Start of the search.
 
     **Attributes**
 

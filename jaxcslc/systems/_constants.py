@@ -155,7 +155,7 @@ class ConstantEstimate:
 
 
 def constants_from(system: "System", fit: Identification) -> tuple[ConstantEstimate, ...]:
-    """The constants of a system that its coefficients determine.
+    """Return the constants of a system that its coefficients determine.
 
     The values whose coefficients are nearest to the identified ones, each difference divided by its
     standard error: where there are more coefficients than constants, all of them count. Constants

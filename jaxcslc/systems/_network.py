@@ -114,7 +114,7 @@ class SystemNetwork(AbstractLinearNetwork):
 
     @classmethod
     def of(cls, system: System) -> "SystemNetwork":
-        """The network of a system."""
+        """Return the network of a system."""
         separation = system.separation
         entries = tuple(
             (i, j)
@@ -189,14 +189,14 @@ class SystemNetwork(AbstractLinearNetwork):
         return eqx.tree_at(lambda network: network.terms[0].nonlinear, self, new)
 
     def known(self, q: Motion, qd: Motion, qdd: Motion) -> Float[Array, "..."]:
-        """The sides of the equations that are known, (..., n): what `torque` is fitted to."""
+        """Return the known sides of the equations, (..., n): what `torque` is fitted to."""
         _, *motion = self._checked(None, q, qd, qdd)
         return jnp.stack(self.known_sides(motion, self.nonlinear), axis=-1)
 
     def residual(
         self, k: Float[Array | np.ndarray, " coefficients"], q: Motion, qd: Motion, qdd: Motion
     ) -> Float[Array, "..."]:
-        """The error of the equations, (..., n): the known side less `torque`."""
+        """Return the error of the equations, (..., n): the known side less `torque`."""
         return self.known(q, qd, qdd) - self.torque(k, q, qd, qdd)
 
     @property

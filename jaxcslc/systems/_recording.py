@@ -72,7 +72,7 @@ class SystemRecording:
         return len(self.time)
 
     def column(self, name: str) -> Float[np.ndarray, " samples"]:
-        """A column, or time.
+        """Return a column, or time.
 
         **Raises** `RecordingError` if there is none of that name.
         """
@@ -166,7 +166,7 @@ def level_error(samples: int) -> float:
 def with_simulated_noise(
     recording: SystemRecording, noise: Mapping[str, float], draws: int, seed: int
 ) -> Iterator[SystemRecording]:
-    """The recording with further white noise on its columns, another in each draw.
+    """Return the recording with additional white noise on its columns, different in each draw.
 
     - `noise`: standard deviations, by column.
     """

@@ -107,7 +107,7 @@ class ConstantSearch:
         return dict(zip(self.names, np.asarray(self.network.nonlinear).tolist(), strict=True))
 
     def with_known_sides(self, patterns: Patterns) -> Patterns:
-        """Patterns whose known sides belong to the values of the constants.
+        """Return patterns whose known sides belong to the values of the constants.
 
         **Arguments**
 

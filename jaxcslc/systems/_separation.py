@@ -203,7 +203,7 @@ class Separation:
         return determine_identifiability(self)
 
     def values(self, constants: Mapping[str, float]) -> Float[np.ndarray, " coefficients"]:
-        """The coefficients of a system whose constants are known.
+        """Return the coefficients of a system whose constants are known.
 
         **Arguments**
 
@@ -221,7 +221,7 @@ class Separation:
     def evaluate(
         self, constants: Inexact[np.ndarray, "constants ..."]
     ) -> Inexact[np.ndarray, "coefficients ..."]:
-        """The coefficients for arrays of the unknown constants, in the order of `symbols`.
+        """Return the coefficients for arrays of the unknown constants, in the order of `symbols`.
 
         Complex numbers are taken too, for derivatives by complex steps.
         """

@@ -72,7 +72,7 @@ def lagrange_equations(
 
 
 def mechanics_equations(method: Any) -> dict[str, Any]:
-    """The equations of a `LagrangesMethod` or `KanesMethod` of `sympy.physics.mechanics`.
+    """Return the equations of a `LagrangesMethod` or `KanesMethod` of `sympy.physics.mechanics`.
 
     They are those that the method forms, 0 = M u' - f, with generalised speeds expressed by the
     derivatives of the coordinates.
@@ -356,7 +356,7 @@ class System:
         qd: Float[np.ndarray, "samples variables"],
         qdd: Float[np.ndarray, "samples variables"],
     ) -> Float[np.ndarray, "samples expressions"]:
-        """The values of expressions in plain symbols, in NumPy.
+        """Return the values of expressions in plain symbols, in NumPy.
 
         Searched constants are taken at the middle of their bounds.
         """
@@ -365,7 +365,7 @@ class System:
         return np.stack(values, axis=1)
 
     def with_values(self, values: Mapping[str, float]) -> "System":
-        """The system with values of some constants.
+        """Return the system with values of some constants.
 
         **Raises** `DescriptionError` for names of no constant.
 

@@ -52,7 +52,7 @@ _COMPARISONS: dict[type, Callable[[Any, Any], Any]] = {
 
 
 def parse_equation(text: str, variables: Collection[str], constants: Collection[str]) -> Any:
-    """An equation `left = right` as SymPy's, or an expression that is zero.
+    """Return an equation `left = right` as SymPy's, or an expression that is zero.
 
     Names, numbers, `+ - * / ** ^`, `dot(x)` and `ddot(x)` for time derivatives, `sin cos tan asin
     acos atan sinh cosh tanh exp log sqrt sign abs`, `min max` of several, and `where(x > 0, A, B)`.

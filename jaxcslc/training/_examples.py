@@ -114,7 +114,7 @@ class NormalEquations(eqx.Module):
         weights: Float[Array, " weights"],
         learning: tuple[bool, ...],
     ) -> Float[Array, "groups weights"]:
-        """A batch's move at a rate of one, as `Backpropagation` finds it on the patterns."""
+        """Return a batch's move at a rate of one, as `Backpropagation` finds it on the patterns."""
         layers = [layer.links for _, layer in network.adaptive_layers]
         shares = jnp.asarray(1.0 / links_per_weight(layers, network.size, learning))
         gradient = self.layered_moment - self.layered_gram @ weights
@@ -122,7 +122,8 @@ class NormalEquations(eqx.Module):
         return gradient * shares[None, :] * takes_part[:, None]
 
     def solution(self) -> Float[Array, "*sets weights"]:
-        """The weights at which backpropagation at one rate for all layers no longer moves, (p,).
+        """Return the weights at which backpropagation at one rate for all layers no longer moves,
+        (p,).
 
         They solve Z'(t - X k) = 0 over all pairs of output and pattern. X is the regressor. Z is X
         with the columns of a subnetwork zero at pairs that it does not learn from. If all
@@ -230,7 +231,7 @@ class Examples(eqx.Module):
         trials: Float[Array, "trials groups"],
         cost: Cost,
     ) -> Float[Array, " trials"]:
-        """The cost after a change of the weights at each of several sets of rates.
+        """Return the cost after a change of the weights at each of several sets of rates.
 
         Sums at the output nodes that are linear in the weights are combined from those of one
         layer's change at a time: five passes for the PUMA 560 and not sixteen.
@@ -281,7 +282,7 @@ class Examples(eqx.Module):
         weights: Float[Array, " weights"],
         learning: tuple[bool, ...],
     ) -> Float[Array, "groups weights"]:
-        """A batch's move at a rate of one: the mean over patterns."""
+        """Return a batch's move at a rate of one: the mean over patterns."""
         if self.equations is not None and isinstance(rule, Backpropagation):
             return self.equations.change(network, weights, learning)
         patterns = self.signals, self.targets, self.learning_counts
@@ -290,7 +291,7 @@ class Examples(eqx.Module):
     def totals(
         self, network: AdaptiveNetwork, weights: Float[Array, " weights"]
     ) -> Float[Array, "outputs patterns"]:
-        """The sums at the output nodes."""
+        """Return the sums at the output nodes."""
         if self.condensed is None:
             return network.forward(weights, self.signals).total
         return jnp.stack(
@@ -333,7 +334,7 @@ def examples(
     targets: Float[Array | np.ndarray, "patterns outputs"],
     counts: Bool[Array | np.ndarray, "*subnetworks patterns outputs"] | None = None,
 ) -> Examples:
-    """Patterns and targets as training takes them.
+    """Return patterns and targets as training takes them.
 
     **Arguments**
 

@@ -91,7 +91,7 @@ class _Mirrored:
 
 
 def decreasing(activation: Activation) -> Activation:
-    """The activation of -s: strictly decreasing where the given one increases.
+    """Return the activation of -s: strictly decreasing where the given one increases.
 
     >>> import jax.numpy as jnp
     >>> from jaxcslc.training import LOGISTIC, decreasing
@@ -127,7 +127,7 @@ number."""
 
 
 def mean_modulus(errors: Errors, counts: Errors) -> Float[Array, ""]:
-    """The mean error modulus, which the rates of 6.3.1 are adapted by."""
+    """Return the mean error modulus, which the rates of 6.3.1 are adapted by."""
     return jnp.sum(jnp.abs(errors) * counts) / jnp.maximum(jnp.sum(counts), 1.0)
 
 

@@ -89,7 +89,7 @@ class Links:
 
     @classmethod
     def full(cls, inputs: int, nodes: int, first: int = 0) -> "Links":
-        """Every input to every node, each link with a weight of its own, from `first` on.
+        """Connect every input to every node, each link with a weight of its own, from `first` on.
 
         Weights are numbered node by node: `weights[first:].reshape(nodes, inputs)`.
         """
@@ -103,7 +103,7 @@ class Links:
     def matrix(
         self, weights: Float[Array, " weights"], *, magnitude: bool = False
     ) -> Float[Array, "nodes inputs"]:
-        """The weights matrix, transposed to the thesis's: nodes by inputs.
+        """Return the weights matrix, transposed to the thesis's: nodes by inputs.
 
         With `magnitude`, of the links' moduli: two links between one pair do not cancel.
         """
@@ -116,7 +116,7 @@ class Links:
         return empty.at[self.node, self.source].add(values)
 
     def to_weights(self, per_link: Float[Array, " links"], size: int) -> Float[Array, " weights"]:
-        """The sum over links of each weight, (size,)."""
+        """Return the sum over links of each weight, (size,)."""
         return jnp.zeros(size, per_link.dtype).at[self.weight].add(per_link)
 
     def at_links(self, matrix: Float[Array, "nodes inputs"]) -> Float[Array, " links"]:
@@ -163,7 +163,7 @@ class Layer:
         return self.links.inputs - self.bias
 
     def with_bias(self, values: Float[Array, "inputs ..."]) -> Float[Array, "inputs_and_bias ..."]:
-        """The values that the links see."""
+        """Return the values that the links see."""
         if not self.bias:
             return values
         return jnp.concatenate([values, jnp.ones_like(values[:1])])
@@ -220,7 +220,9 @@ class ContextLayer:
 
     @classmethod
     def full(cls, inputs: int, nodes: int, layers: tuple[Layer, ...] = ()) -> "ContextLayer":
-        """Every source to every node, each link with a context value of its own, node by node."""
+        """Connect every source to every node, each link with a context value of its own, node by
+        node.
+        """
         node, source = np.divmod(np.arange(inputs * nodes), inputs)
         context = tuple(range(inputs * nodes))
         return cls(
@@ -478,7 +480,7 @@ class AdaptiveNetwork(eqx.Module):
         )
 
     def signals(self, patterns: Any) -> Signals:
-        """Patterns as the layers see them; `patterns` are what `preprocess` takes."""
+        """Return patterns as the layers see them; `patterns` are what `preprocess` takes."""
         return self.preprocess(patterns)
 
     def forward(self, weights: Float[Array, " weights"], signals: Signals) -> Passage:
@@ -552,7 +554,7 @@ def _through(
 
 
 def network_order(network: AdaptiveNetwork) -> int:
-    """The order of a network (thesis 4.2): the largest order of any output.
+    """Return the order of a network (thesis 4.2): the largest order of any output.
 
     The thesis takes it for the least number of independent patterns that determine the weights.
     It is that number for one adaptive layer whose outputs share no weights. Where outputs share

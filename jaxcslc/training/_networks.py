@@ -54,7 +54,7 @@ def fully_connected(
     preprocess: Callable[[Array], Array] | None = None,
     name: str = "network",
 ) -> AdaptiveNetwork:
-    """A network of one or more layers in which every input feeds every node (thesis 3.1).
+    """Return a network of one or more layers in which every input feeds every node (thesis 3.1).
 
     Weights are numbered layer by layer, node by node, the bias last.
 
@@ -169,7 +169,7 @@ def _signals(
 
 
 def inverse_dynamics(network: CSLC) -> AdaptiveNetwork:
-    """The CSLC as the adaptive network that the thesis draws (5.1, Figs. 5.1-1 to 5.1-6).
+    """Return the CSLC as the adaptive network that the thesis draws (5.1, Figs. 5.1-1 to 5.1-6).
 
     Five subnetworks, superposed: mass, velocity, gravity, viscous and dry friction (and one for
     each other term of the robot's friction model, two where it tells directions apart). The mass

@@ -38,7 +38,7 @@ class AbstractRates(eqx.Module):
     def choose(
         self, rates: Rates, before: Float[Array, ""], costs_after: CostsAfter
     ) -> tuple[Rates, Bool[Array, ""]]:
-        """The rates for an epoch, (groups,), and whether it moves the weights at them.
+        """Return the rates for an epoch, (groups,), and whether it moves the weights at them.
 
         - `rates`: those of the epoch before.
         - `before`: the cost as it stands.
@@ -47,7 +47,7 @@ class AbstractRates(eqx.Module):
 
     @abstractmethod
     def taking_over(self, rates: Rates, best: Rates) -> Rates:
-        """The rates of a rule that takes over because it promised most.
+        """Return the rates of a rule that takes over because it promised most.
 
         - `rates`: those that it left, or began with.
         - `best`: those at which the first epoch would gain most.
@@ -198,7 +198,7 @@ class SwitchWhen(eqx.Module):
             raise ValueError(f"switch: expected durations above zero, got {self.durations}")
 
     def preferred(self, present: Int[Array, ""], gains: Float[Array, " rules"]) -> Int[Array, ""]:
-        """The rule to go on with, given what the next epoch of each promises.
+        """Return the rule to go on with, given what the next epoch of each promises.
 
         >>> import jax.numpy as jnp
         >>> from jaxcslc.training import SwitchWhen
@@ -493,7 +493,7 @@ class Plan(eqx.Module):
         return learning
 
     def first_rates(self, network: AdaptiveNetwork) -> Float[Array, "rules groups"]:
-        """The rates to start with, zero where a layer does not learn.
+        """Return the rates to start with, zero where a layer does not learn.
 
         **Raises** `ValueError` for a wrong number of rates.
         """

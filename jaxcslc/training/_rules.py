@@ -449,7 +449,7 @@ class IdealPERAL(AbstractProportionalRule):
 
 
 def check_sign_rank(inputs: Float[Array | np.ndarray, "patterns inputs"]) -> None:
-    """The condition under which ideal PERAL can lead to the optimum (thesis 6.1).
+    """Return the condition under which ideal PERAL can lead to the optimum (thesis 6.1).
 
     Patterns whose inputs have the same signs act as one. The signs of all patterns' inputs, one
     row a pattern, must therefore have as many independent rows as there are weights. This is

@@ -100,7 +100,7 @@ lack a term
         )
 
     def to_pandas(self) -> Any:
-        """A `pandas.DataFrame`, one row a joint, counted from 1."""
+        """Return a `pandas.DataFrame`, one row per joint, counted from 1."""
         pandas = require("pandas", "tables")
 
         return pandas.DataFrame(
@@ -244,7 +244,8 @@ def judged_errors(
     network: AbstractLinearNetwork | None = None,
     source: Source = "validation",
 ) -> HeldOut:
-    """The RMS of errors (samples, n) of both kinds over the pairs of their masks, and its limit.
+    """Return the RMS of errors (samples, n) of both kinds over the pairs of their masks, and its
+    limit.
 
     - `rank`: of the fit.
     - `network`: names and units of joints are its; `source`: of the held-out errors.

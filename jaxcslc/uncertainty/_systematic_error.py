@@ -146,7 +146,7 @@ class SystematicError:
         return ", ".join(f"{cause} {self.within.get(cause, '')}".strip() for cause in self.parts)
 
     def main_cause(self, index: int) -> str:
-        """The cause of the largest part of a coefficient's error."""
+        """Return the cause of the largest part of a coefficient's error."""
         return max(self.parts, key=lambda cause: float(self.parts[cause][index]))
 
 
@@ -340,7 +340,7 @@ class SystematicProblem:
         groups: Sequence[str] | None = None,
         follow: Float[np.ndarray, "coefficients coefficients"] | None = None,
     ) -> SystematicError:
-        """The systematic errors of a fit.
+        """Return the systematic errors of a fit.
 
         - `k`: its coefficients; `determined`: which of them are.
         - `groups`: as of `systematic_error`.

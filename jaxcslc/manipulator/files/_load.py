@@ -62,7 +62,7 @@ def load_robot(
     fix: str | Sequence[str] = (),
     mimic: Mimics | None = None,
 ) -> Manipulator:
-    """A robot from its description: TOML as in `docs/robots.md`, URDF, or MJCF.
+    """Load a robot from its description: TOML as in `docs/robots.md`, URDF, or MJCF.
 
     URDF and MJCF are read by MuJoCo; meshes are not read. Chains and trees of revolute and
     prismatic joints with any axes become modified Denavit-Hartenberg rows; bodies that are fixed

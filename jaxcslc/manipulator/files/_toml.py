@@ -61,7 +61,7 @@ def read_toml(path: Path) -> Manipulator:
 
 
 def puma560() -> Manipulator:
-    """The PUMA 560 of the thesis (Fig. 2.6-4), with Appendix B's numbering.
+    """Return the PUMA 560 of the thesis (Fig. 2.6-4), with Appendix B's numbering.
 
     Geometry and link parameters are Armstrong, Khatib and Burdick's (1986), friction is Leahy
     and Saridis's (1989). The thesis evaluates its 'Armstrong et al.' columns with
@@ -74,7 +74,8 @@ def puma560() -> Manipulator:
 
 
 def panda() -> Manipulator:
-    """The Franka Emika Panda: 7 revolute joints, full inertia tensors, link-side torque sensors.
+    """Return the Franka Emika Panda: 7 revolute joints, full inertia tensors, link-side torque
+    sensors.
 
     Kinematics as its maker publishes them; no link parameters.
 
@@ -85,7 +86,7 @@ def panda() -> Manipulator:
 
 
 def tx40() -> Manipulator:
-    """The Stäubli TX40: 6 revolute joints, full inertia tensors, the wrist's motors coupled.
+    """Return the Stäubli TX40: 6 revolute joints, full inertia tensors, the wrist's motors coupled.
 
     Kinematics of the URDF in figaroh-examples; no link parameters. Static friction, and the
     shaft that joints 5 and 6 share, are part of its friction model.

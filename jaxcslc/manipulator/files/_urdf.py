@@ -45,7 +45,7 @@ class Element:
 
 
 def read_xml(path: Path) -> Element:
-    """The root element of an XML file, read without trusting it.
+    """Return the root element of an XML file, read without trusting it.
 
     No document type and no entities, internal or external, and neither more elements nor deeper
     ones than a robot can have.

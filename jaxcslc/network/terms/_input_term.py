@@ -36,7 +36,7 @@ class AbstractFunctions(abc.ABC):
 
     @abc.abstractmethod
     def constant(self, number: Any, like: Any) -> Any:
-        """A number as a value of the kind and shape of `like`."""
+        """Return a number as a value of the kind and shape of `like`."""
 
     @abc.abstractmethod
     def rigid_torque(
@@ -52,11 +52,11 @@ class AbstractFunctions(abc.ABC):
         return self.apply("fabs", x)
 
     def positive(self, x: Any) -> Any:
-        """The greater of x and 0."""
+        """Return the greater of x and 0."""
         return self.apply("positive", x)
 
     def negative(self, x: Any) -> Any:
-        """The lesser of x and 0."""
+        """Return the lesser of x and 0."""
         return self.apply("negative", x)
 
     def sqrt(self, x: Any) -> Any:

@@ -98,7 +98,7 @@ class ProjectedTerm(AbstractManipulatorTerm):
     def of(
         cls, term: AbstractRigidBody, projection: JointProjection | None
     ) -> "AbstractRigidBody | ProjectedTerm":
-        """The term itself where all joints are independent."""
+        """Return the term itself where all joints are independent."""
         if projection is None:
             return term
         return cls(term=term, projection=projection, kind=term.kind, coefficients=term.coefficients)

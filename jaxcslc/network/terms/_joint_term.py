@@ -315,7 +315,7 @@ class JointTerm(AbstractJointTerm):
 
     @classmethod
     def of(cls, law: JointLaw, robot: Manipulator) -> "JointTerm":
-        """The term of the robot's joints whose friction model names the law's kind.
+        """Return the term of the robot's joints whose friction model names the law's kind.
 
         Static friction without slopes has the robot's, or `STATIC_SLOPE` if it has none.
         """

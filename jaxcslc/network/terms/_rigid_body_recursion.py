@@ -407,7 +407,8 @@ _UNITS = {"I": "kg m²", "h": "kg m", "m": "kg"}
 
 
 def carrier(robot: Manipulator, link: int | None = None) -> Manipulator:
-    """The robot without any mass but that of a body fixed to one link, its last one if omitted.
+    """Return the robot without any mass except that of a body fixed to one link, its last one if
+    omitted.
 
     What the thesis calls an additional link (8.2.4), of ten unknown inertial parameters: rigidly
     attached, it has no joint of its own, and its frame can be the carrying link's. Derive it to

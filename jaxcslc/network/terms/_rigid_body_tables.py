@@ -68,7 +68,7 @@ class ClosedForm(AbstractExpressedBodies):
         return [[elements.get((min(i, j), max(i, j)), zero) for j in range(n)] for i in range(n)]
 
     def christoffel_symbols(self, k: Any) -> dict[tuple[int, ...], Value]:
-        """The symbols c_ijk, j <= k, that are not identically zero (Eqn. 2.4-5)."""
+        """Return the symbols c_ijk, j <= k, that are not identically zero (Eqn. 2.4-5)."""
         return self._elements(self._tables.velocity, k)
 
     def entries(self) -> dict[tuple[int, int], Value]:
@@ -144,7 +144,7 @@ def position_variables(
 def nested(
     graph: Expressions, polynomial: Mapping[Monomial, Any], variables: Sequence[Value]
 ) -> Value:
-    """A polynomial's value, variables taken out of brackets while two monomials share one."""
+    """Return a polynomial's value; variables that two monomials share leave the brackets."""
     polynomial = {
         monomial: value
         for monomial, value in polynomial.items()
@@ -210,7 +210,7 @@ class RigidBodyTables(AbstractRigidBody):
     def christoffel_symbols(
         self, k: Float[Array, " coefficients"], q: Float[Array, "*batch joints"]
     ) -> dict[tuple[int, ...], Samples]:
-        """The symbols c_ijk, j <= k, that are not identically zero (Eqn. 2.4-5)."""
+        """Return the symbols c_ijk, j <= k, that are not identically zero (Eqn. 2.4-5)."""
         motion = Motion(q.shape[-1])
         symbols = self.expressed(motion).christoffel_symbols(motion.graph.inputs("k", self.size))
         symbols_code = StraightLine(motion, tuple(symbols.values()))
@@ -247,7 +247,8 @@ def _support(algebra: Algebra) -> tuple[tuple[int, ...], ...]:
 def input_rows(
     ring: PositionRing, monomials: Sequence[Monomial], q: Sequence[Samples]
 ) -> Float[Array, " monomials *batch"]:
-    """The preprocessing layer as one array: quick to compile, however many monomials there are.
+    """Return the preprocessing layer as one array: quick to compile, however many monomials there
+    are.
 
     **Arguments**
 

@@ -88,11 +88,11 @@ class AbstractTerm(eqx.Module):
 
     @abc.abstractmethod
     def regressor(self, q: Joints, qd: Joints, qdd: Joints) -> Regressor:
-        """The matrix that the coefficients are multiplied by, (..., n, coefficients)."""
+        """Return the matrix that the coefficients are multiplied by, (..., n, coefficients)."""
 
     @abc.abstractmethod
     def torque(self, k: Coefficients, q: Joints, qd: Joints, qdd: Joints) -> Joints:
-        """The term's share of the torque, (..., n) [N m or N]."""
+        """Return the term's share of the torque, (..., n) [N m or N]."""
 
 
 class AbstractManipulatorTerm(AbstractTerm):
