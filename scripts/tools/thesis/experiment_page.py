@@ -33,10 +33,10 @@ from the tables of one run (`make demo`, seed 1).
 
 ## Torque errors
 
-Mean moduli of the torque error in the comparison trajectory, and the error cost ε, half the root
-mean square over joints [N m] (Figs. 7.6-3 and 7.6-4), as the thesis judges. Positions are smoothed
-by splines of 17 samples. The torque of a sample is the demand of the sample before (7.4). The first
-and the last 0.2 s are disregarded (7.4.2).
+The tables have mean moduli of the torque error in the comparison trajectory, and the error cost ε,
+half the root mean square over joints [N m] (Figs. 7.6-3 and 7.6-4). The thesis judges in this way.
+Positions are smoothed by splines of 17 samples. The torque of a sample is the demand of the sample
+before (7.4). The first and the last 0.2 s are disregarded (7.4.2).
 
 - Ar+LS: links of Armstrong et al., friction of Leahy and Saridis.
 - Ar+Rg: the same links, friction regressed from the training trajectory.
@@ -65,22 +65,23 @@ _HAND = """\
 ### Errors at the hand
 
 Section 7.5 discusses weights for the joints' errors and leaves them open. Here each torque error is
-judged by what it does: the acceleration that it would cause at the flange, with the true machine's
-mass matrix [m/s²]. Joints 1 to 3 carry nearly all of it.
+judged by the acceleration that it would cause at the flange [m/s²]. This uses the true machine's
+mass matrix. Joints 1 to 3 carry nearly all of it.
 """
 
 _INTERVALS = """\
 ## Intervals of the coefficients
 
-How many of the 43 intervals of 95 % contain the machine's true coefficient, by what they allow for:
-the standard error alone, one cause of [systematic errors](uncertainty.md#systematic-errors) beside
-it, or all of them, as `jaxcslc identify` prints them:
+The table has the number of the 43 intervals of 95 % that contain the machine's true coefficient.
+The intervals include the standard error alone, one cause of [systematic
+errors](uncertainty.md#systematic-errors) as well, or all causes. `jaxcslc identify` prints the
+last:
 """
 
 _INTERVALS_RESULT = """\
 Of 43 intervals, 95 % are 41. Those of the standard error alone fall short. The viscous friction of
-the wrist is within 2 % of the truth on both machines, since a sample has the mean of the demands
-before and after it ([which torque belongs to a
+the wrist is within 2 % of the truth on both machines. The reason is that a sample has the mean of
+the demands before and after it ([which torque belongs to a
 sample](recordings.md#which-torque-belongs-to-a-sample)). The one interval that does not contain the
 truth is that of PUMA A's kM8.
 """
@@ -99,14 +100,14 @@ demands [N m]:
 """
 
 _WEAK = """\
-What if the premise does not hold? The same machine with weaker motors (the limits of
-`sim.DISTURBANCES`, of which the training trajectory exceeds all but joint 2's), identified from a
-training recording of its own and judged on the same comparison recording [N m]:
+What if the premise does not hold? The same machine gets weaker motors, with the limits of
+`sim.DISTURBANCES`. The training trajectory exceeds all of them except joint 2's. The machine is
+identified from its own training recording and judged on the same comparison recording [N m]:
 """
 
 _WEAK_RESULT = """\
 The error grows by a fifth: pairs beyond the limits are many, but the curve leaves the line slowly.
-To leave them out is worse: a third of the pairs is lost, and those that stay are chosen by their
+To exclude them is worse: a third of the pairs is lost, and those that stay are chosen by their
 torque.
 """
 
@@ -115,7 +116,7 @@ _TRAINED = """\
 
 Each of 32 seeds has a training and a comparison recording of its own (encoder phases, starts,
 timing). Their networks are trained at once, from zero weights, on all patterns. Slow pairs of
-joint and sample (below a hundredth of top speed) are left out, and no pair for backlash. The
+joint and sample (below a hundredth of top speed) are excluded, and no pair for backlash. The
 training torques have Armstrong's abbreviated gravity (7.4.1), and amplitudes that were adjusted in
 trials (`python -m scripts.studies.puma560.trials`).
 
@@ -130,9 +131,8 @@ machines in view. Medians over the seeds, ε as in the thesis; the seconds conta
 """
 
 _TRAINED_RESULT = """\
-What side by side gains, without compiling
-(`python -m scripts.studies.training.cslc --seeds 32 --routes ...`; on the H100 with 11.6 N m as
-joint 5's amplitude):
+The table has the time without compiling (`python -m scripts.studies.training.cslc --seeds 32
+--routes ...`; on the H100 with 11.6 N m as joint 5's amplitude):
 
 | route | one, two cores [s] | 32, two cores [s] | one, H100 [s] | 32, H100 [s] |
 | --- | ---: | ---: | ---: | ---: |
@@ -144,8 +144,8 @@ joint 5's amplitude):
 Backpropagation needs no pattern after its normal equations are there. PERAL needs every pattern in
 every epoch: one training alone keeps two cores busy, and 32 take about 30 times as long. A GPU
 does 32 in the time of one. With PERAL in most epochs (25 after every 20 of backpropagation), the
-H100 takes 3.5 s for 32, and training ends at 1.01 (A) and 1.09 (B) of the direct solve's ε in the
-median, at 1.02 and 1.10 in the worst seed.
+H100 takes 3.5 s for 32. Training then ends at 1.01 (A) and 1.09 (B) of the direct solve's ε in the
+median, and at 1.02 and 1.10 in the worst seed.
 
 PERAL alone does not end there. A weight keeps its sign under PERAL: one that has the wrong sign at
 the hand-over ends at zero. PERAL also comes to rest elsewhere than least squares: started at the
@@ -156,11 +156,11 @@ weights](peral.md#tolerances-of-weights)).
 _ROUTE = """\
 ## The thesis's own route
 
-Section 7.5 trains the network to the letter: backpropagation until ε is that of Ar+LS on the
-training patterns, then bouts of both rules until neither lowers ε by 0.001 N m in an epoch. Pairs
-in possible backlash (Eqn. 2.5-7) are left out of everything, and slow pairs out of the friction
-subnetworks (7.2.2). Then thresholds are taken from the residuals, and training goes on. "When
-PERAL begins" is ε of Ar+LS on the same pairs.
+This training follows Section 7.5 to the letter. Backpropagation runs until ε is that of Ar+LS on
+the training patterns. Bouts of both rules follow until neither lowers ε by 0.001 N m in an epoch.
+Pairs in possible backlash (Eqn. 2.5-7) are excluded from everything, and slow pairs from the
+friction subnetworks (7.2.2). Then thresholds are taken from the residuals, and training goes on.
+"When PERAL begins" is ε of Ar+LS on the same pairs.
 """
 
 _ROUTE_RESULT = """\
@@ -171,8 +171,8 @@ Three things keep the letter from the thesis's 0.25 and 0.31 N m on these machin
   with what the model lacks. Shuffled over time, the same mask costs next to nothing (`python -m
   scripts.studies.training.masks`).
 - Slow pairs: joints that stand still or nearly so. Their friction does not average out over the
-  training set, and the sign of the smoothed velocity is wrong at up to two thirds of them. Left
-  out of friction only, they spoil the other subnetworks.
+  training set, and the sign of the smoothed velocity is wrong at up to two thirds of them. If they
+  are excluded from friction only, they spoil the other subnetworks.
 """
 
 _THRESHOLDS = """\
@@ -188,9 +188,9 @@ The last column is how many samples a joint takes from rest to the thesis's spee
 _THRESHOLDS_WHY = """\
 The last three columns say why so few are seen. In friction by Eqn. 2.5-4, the criterion sees the
 ramps of every joint that has them. In the rotors' true friction, without any smoothing or noise,
-asymmetry and the compliant wrist hide some: they are no function of the rotor's speed alone. What
-is left has to be seen through smoothing that is as wide as the way from rest to that speed, and
-beside backlash.
+asymmetry and the compliant wrist hide some: they are no function of the rotor's speed alone. The
+rest has to be seen through smoothing that is as wide as the way from rest to that speed, and next
+to backlash.
 
 What would better thresholds gain? The fit of the table above, under others:
 """
