@@ -5,10 +5,11 @@ Each is mended, or the samples that it spoils are left out, before motion and to
 
 import dataclasses
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 
 import numpy as np
 import scipy
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ..recordings import Recording, encoder_resolution, noise_level, stale_rows
 from ._evidence import TINY, Evidence
@@ -81,39 +82,96 @@ class Unsigned:
     """Torques of a joint that may have lost their sign.
 
     - `joint`: from 0.
-    - `sign`: that the torques would have, if it changed each time they reach zero.
+    - `stretch`: number of the stretch of each sample, in which its sign may be the same.
     - `rows`: the samples, all of them.
     - `text`: evidence.
     """
 
     joint: int
-    sign: Float[np.ndarray, " samples"]
+    stretch: Int[np.ndarray, " samples"]
     rows: Bool[np.ndarray, " samples"]
     text: str
     row = "unsigned torque"
 
     def confirmed(self, evidence: Evidence, time: Float[np.ndarray, " samples"]) -> bool:
-        """Return whether motion explains the torque better with signs."""
+        """Return whether motion explains the torque with signs, and not without.
+
+        Signs of whole stretches are searched for first, then those of samples.
+        """
         at = np.searchsorted(time - time[0], np.asarray(evidence.patterns.time))
-        signs = self.sign[np.minimum(at, len(time) - 1)]
-        without, signed = (_own_error(evidence, self.joint, x)[1] for x in (1.0, signs))
-        return bool(signed < _SIGNED * without)
+        equations = _OwnEquations.of(evidence, self.joint)
+        torque = np.abs(equations.torque)
+        stretch = self.stretch[np.minimum(at, len(time) - 1)][equations.rows]
+        parts = torque[:, None] * (stretch[:, None] == np.unique(stretch))
+        left = parts - equations.fitted(parts)
+        signs = _best_signs(left.T @ left)[np.searchsorted(np.unique(stretch), stretch)]
+        for _ in range(_ALTERNATIONS):
+            before, signs = signs, np.where(equations.fitted(signs * torque) < 0.0, -1.0, 1.0)
+            if np.array_equal(before, signs):
+                break
+        error, size = equations.error(signs * torque), float(np.sqrt(np.mean(torque**2)))
+        return error < min(_SIGNED * equations.error(torque), _FITS * size)
 
 
-def _own_error(
-    evidence: Evidence, joint: int, factor: float | Float[np.ndarray, " rows"]
-) -> tuple[Float[np.ndarray, " rows"], float]:
-    """Return predicted minus factor times recorded torque, and its root mean square where valid.
+def _best_signs(
+    squares: Float[np.ndarray, "stretches stretches"],
+) -> Float[np.ndarray, " stretches"]:
+    """Return signs s with a small s' A s: from several starts, while one more flip makes it less.
 
-    By the joint's own equations: other joints may have faults of their own.
+    >>> float(_best_signs(np.array([[1.0, 0.9], [0.9, 1.0]])).prod())
+    -1.0
     """
-    patterns = evidence.patterns
-    own = evidence.columns(patterns)[joint].T
-    own = np.column_stack([own, np.ones(len(own))])
-    torque, mask = (np.asarray(x)[:, joint] for x in (patterns.torque, patterns.mask))
-    fitted = np.linalg.lstsq(own[mask], (factor * torque)[mask], rcond=_RANK)[0]
-    error = own @ fitted - factor * torque
-    return error, float(np.sqrt(np.mean(error[mask] ** 2)))
+    rng = np.random.default_rng(0)
+    best, least = np.ones(len(squares)), np.inf
+    for signs in rng.choice([-1.0, 1.0], (_STARTS, len(squares))):
+        while True:
+            falls = signs * (squares @ signs) - np.diag(squares)
+            flipped = int(np.argmax(falls))
+            if falls[flipped] <= 0.0:
+                break
+            signs[flipped] *= -1.0
+        value = float(signs @ squares @ signs)
+        if value < least:
+            best, least = signs, value
+    return best
+
+
+@dataclasses.dataclass(frozen=True)
+class _OwnEquations:
+    """Equations of motion of one joint alone: other joints may have faults of their own.
+
+    - `rows`: of the patterns, where the joint is measured.
+    - `columns`: of the regressor and a constant, (rows, columns).
+    - `torque`: of the rows [N m or N].
+    """
+
+    rows: Bool[np.ndarray, " patterns"]
+    columns: Float[np.ndarray, "rows columns"]
+    torque: Float[np.ndarray, " rows"]
+
+    @classmethod
+    def of(cls, evidence: Evidence, joint: int) -> "_OwnEquations":
+        """Return the equations of a joint, from 0."""
+        patterns = evidence.patterns
+        own = evidence.columns(patterns)[joint].T
+        torque, rows = (np.asarray(x)[:, joint] for x in (patterns.torque, patterns.mask))
+        own = np.column_stack([own, np.ones(len(own))])[rows]
+        return cls(rows, own, torque[rows])
+
+    @cached_property
+    def _range(self) -> Float[np.ndarray, "rows rank"]:
+        """Orthonormal columns of the same span."""
+        scales = np.maximum(np.sqrt(np.sum(self.columns**2, axis=0)), TINY)
+        left, values, _ = np.linalg.svd(self.columns / scales, full_matrices=False)
+        return left[:, values > _RANK * values[0]] if values.size else left
+
+    def fitted(self, torque: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+        """Return what the equations explain of a torque."""
+        return self._range @ (self._range.T @ torque)
+
+    def error(self, torque: Float[np.ndarray, " rows"]) -> float:
+        """Return the root mean square of what they do not."""
+        return float(np.sqrt(np.mean((torque - self.fitted(torque)) ** 2)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,11 +199,17 @@ class Saturated:
         """
         at = np.searchsorted(time - time[0], np.asarray(evidence.patterns.time))
         inside = self.rows[np.minimum(at, len(time) - 1)]
-        if not inside.any() or not np.asarray(evidence.patterns.mask)[:, self.joint].any():
+        equations = _OwnEquations.of(evidence, self.joint)
+        if not inside.any() or not equations.rows.any():
             return False
-        error, usual = _own_error(evidence, self.joint, 1.0)
-        more = float(np.mean(self.sign * error[inside]))
-        size = float(np.std(np.asarray(evidence.patterns.torque)[:, self.joint]))
+        patterns = evidence.patterns
+        column = np.asarray(patterns.torque)[:, self.joint]
+        own = evidence.columns(patterns)[self.joint].T
+        own = np.column_stack([own, np.ones(len(own))])
+        fitted = np.linalg.lstsq(own[equations.rows], equations.torque, rcond=_RANK)[0]
+        # The median: friction at a standstill that no model has is in few samples.
+        more = float(np.median(self.sign * (own @ fitted - column)[inside]))
+        size, usual = float(np.std(column)), equations.error(equations.torque)
         return usual < _FITS * size and more > max(_MORE * self.width, usual, _MATTERS * size)
 
 
@@ -228,8 +292,10 @@ def _runs(marked: Bool[np.ndarray, " samples"]) -> tuple[np.ndarray, np.ndarray]
 
 # A torque that is never negative is unsigned if it turns back at zero so often: within this part of
 # its greatest value, and by this part on both sides.
-_TURNS, _NEAR_ZERO, _AWAY = 3, 0.02, 0.05
+_TURNS, _NEAR_ZERO, _AWAY = 3, 0.02, 0.15
 _SIGNED = 0.7  # of the error without signs is left with them
+_STARTS = 20  # of the search for signs of stretches
+_ALTERNATIONS = 50  # fits of coefficients to signs, and of signs to coefficients
 
 
 def _unsigned(recording: Recording) -> Iterator[Unsigned]:
@@ -239,18 +305,19 @@ def _unsigned(recording: Recording) -> Iterator[Unsigned]:
         if np.min(column) < 0.0 or top <= 0.0:
             continue
         starts, stops = _runs(column > _AWAY * top)
-        turns, sign = 0, np.ones(column.shape)
-        for start, stop in zip(stops[:-1], starts[1:], strict=True):
-            lowest = start + int(np.argmin(column[start:stop]))
-            if column[lowest] < _NEAR_ZERO * top:
-                turns += 1
-                sign[lowest:] *= -1.0
+        lowest = [
+            start + int(np.argmin(column[start:stop]))
+            for start, stop in zip(stops[:-1], starts[1:], strict=True)
+        ]
+        turns = int(np.sum(column[lowest] < _NEAR_ZERO * top))
         if turns >= _TURNS:
             text = (
-                f"its torque is never negative, and motion explains it with signs that change the"
-                f" {turns} times that it reaches zero"
+                "its torque is never negative, and motion explains it with signs that change where"
+                f" it is small; it reaches zero {turns} times"
             )
-            yield Unsigned(joint, sign, np.ones(column.shape, bool), text)
+            stretch = np.zeros(column.shape, int)
+            stretch[lowest] = 1
+            yield Unsigned(joint, np.cumsum(stretch), np.ones(column.shape, bool), text)
 
 
 # Saturated torques lie within so many standard deviations of the noise; as a part of all samples;

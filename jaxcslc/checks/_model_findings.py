@@ -77,6 +77,8 @@ def model_causes(evidence: Evidence) -> list[Cause]:
 # A fault is found by its size alone from this many standard errors on; once it is mended, fewer are
 # left. (Heuristic: what the model lacks is no normal noise.)
 _CLEAR, _GONE = 5.0, 3.0
+# Zeros that are off by more [rad or m] are no fault of first order: their estimate says nothing.
+_FIRST_ORDER = 0.5
 
 
 def significant_cause(evidence: Evidence) -> list[Finding]:
@@ -95,6 +97,7 @@ def significant_cause(evidence: Evidence) -> list[Finding]:
     least = {"clock": 2.0 * _CLOCK, "zero": _ZERO, "scale of torque": _SCALE}
     found = [(*first.estimate(columns), kind, which) for kind, which, columns in options]
     found = [x for x in found if abs(x[0]) > max(least[x[2]], _CLEAR * x[1])]
+    found = [x for x in found if x[2] != "zero" or abs(x[0]) < _FIRST_ORDER]
     if not found:
         return []
     size, error, kind, which = max(found, key=lambda x: abs(x[0]) / max(x[1], TINY))

@@ -40,6 +40,7 @@ from ._systematic_error import (
 )
 from ._tolerances import (
     CLOCK as CLOCK,
+    SHOWN_SCALE as SHOWN_SCALE,
     TOLERANCES as TOLERANCES,
     TOLERATED as TOLERATED,
     TORQUE_SCALE as TORQUE_SCALE,

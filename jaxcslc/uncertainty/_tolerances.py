@@ -22,6 +22,8 @@ from ..recordings import Patterns
 TORQUE_SCALE, CLOCK, ZEROS = "torque scale", "clock", "zero positions"
 TOLERATED = (TORQUE_SCALE, CLOCK, ZEROS)
 """Causes of systematic errors that are faults within tolerances, shared by recordings of an arm."""
+SHOWN_SCALE = "torque scale shown"
+"""What is stated where neither data nor the robot's file exclude a large factor of the torques."""
 
 
 class Tolerance(NamedTuple):
@@ -45,6 +47,9 @@ TOLERANCES: Mapping[str, Tolerance] = {
 # One recording in twenty has a fault beyond its tolerance, of twenty times its size. (Heuristic:
 # data decide unless they say little; a smaller number would take a clear fault for chance.)
 _GROSS, _GROSS_SIZE = 0.05, 20.0
+# A factor of the torques, less 1, that must be excluded for nothing to be stated: `jaxcslc check`
+# names none that is smaller.
+_LARGE_SCALE = 0.25
 _LEVEL = 0.95
 _QUANTILE = 1.959963984540054  # of a normal distribution, of both sides together
 # As many rows of a recording show its faults, in as many stretches, whose differences are noise.
@@ -120,7 +125,8 @@ class PossibleFaults:
     """Changes of coefficients that faults within their tolerances may cause.
 
     - `parts`: by cause, the standard uncertainty of each coefficient, (p,).
-    - `within`: by cause, the size of the fault by 95 %, as text.
+    - `within`: by cause, the size of the fault by 95 %, as text. `SHOWN_SCALE` is there if only
+      the tolerance excludes a torque scale of 1.25: what else shows of it by 95 %, or `"nothing"`.
     """
 
     parts: Mapping[str, Float[np.ndarray, " coefficients"]]
@@ -196,6 +202,11 @@ def possible_faults(
         CLOCK: f"± {100 * possible[1]:.2g} %",
         ZEROS: f"at most ± {1e3 * np.max(zeros):.2g} {'mrad' if revolute else 'mrad or mm'}",
     }
+    shown = abs(estimates[0].value) + _QUANTILE * estimates[0].error
+    if not np.isfinite(shown):
+        within[SHOWN_SCALE] = "nothing"
+    elif shown > _LARGE_SCALE:
+        within[SHOWN_SCALE] = f"± {100 * shown:.2g} %"
     return PossibleFaults(parts, within)
 
 

@@ -15,6 +15,7 @@ from jaxcslc.checks._evidence import Evidence
 from jaxcslc.checks._first_order import BLOCKS, FirstOrder, gravity_columns
 from jaxcslc.checks._model_findings import file_factors
 from scripts.studies.checks.robots import FILES, Conditions, Fault, arm, record
+from scripts.studies.checks.spoiler import clean_conditions
 
 
 ARM, SEED = "Gen2", 4
@@ -152,6 +153,24 @@ def test_torques_without_their_signs(network: jc.CSLC, clean: jc.Recording) -> N
     shifted = clean.torque - np.min(clean.torque, axis=0)
     found = jc.check(network, dataclasses.replace(clean, torque=shifted)).findings
     assert "unsigned torque" not in {one.kind for one in found}
+
+
+@pytest.mark.parametrize("joint", [0, 2])
+def test_signs_are_found_where_friction_hides_zeros(
+    joint: int, network: jc.CSLC, clean: jc.Recording
+) -> None:
+    """Dry friction makes torques jump over zero: what is recorded does not come near it."""
+    torque = clean.torque.copy()
+    torque[:, joint] = np.abs(torque[:, joint])
+    first = jc.check(network, dataclasses.replace(clean, torque=torque)).findings[0]
+    assert (first.kind, first.joint) == ("unsigned torque", f"j2s6s200_joint_{joint + 1}")
+
+
+@pytest.mark.parametrize(("name", "seed"), [("Gen2", 1013), ("UR3", 1018)])
+def test_slow_motion_of_coarse_encoders_is_no_fault(name: str, seed: int) -> None:
+    """Friction at a standstill is no clipping, and a zero far off is no fault of first order."""
+    recording = record(name, clean_conditions(seed), seed).recording
+    assert not jc.check(arm(name).network, recording).findings
 
 
 def test_torques_at_the_end_of_a_sensor(network: jc.CSLC) -> None:

@@ -9,7 +9,9 @@ import scipy
 import jaxcslc as jc
 from jaxcslc.uncertainty import (
     CLOCK,
+    SHOWN_SCALE,
     TOLERANCES,
+    TOLERATED,
     TORQUE_SCALE,
     ZEROS,
     Estimate,
@@ -123,7 +125,7 @@ def test_data_narrow_a_clock_and_a_zero(arm: tuple[jc.CSLC, np.ndarray, jc.Patte
     network, _, patterns = arm
     k, every = fitted(network, patterns), np.ones(network.size, bool)
     within = possible_faults(network, patterns, k, every).within
-    sizes = {cause: float(text.split("± ")[1].split()[0]) for cause, text in within.items()}
+    sizes = {cause: float(within[cause].split("± ")[1].split()[0]) for cause in TOLERATED}
     assert sizes[CLOCK] < 100 * 0.5 * TOLERANCES[CLOCK].limit
     # A factor of all torques changes every coefficient, and no residual.
     np.testing.assert_allclose(
@@ -131,6 +133,21 @@ def test_data_narrow_a_clock_and_a_zero(arm: tuple[jc.CSLC, np.ndarray, jc.Patte
     )
     known = possible_faults(network, patterns, k, every, scale=Estimate(0.0, 0.01)).within
     assert float(known[TORQUE_SCALE].split()[1]) < 0.5 * sizes[TORQUE_SCALE]
+
+
+def test_a_scale_that_only_the_tolerance_bounds_is_stated(
+    arm: tuple[jc.CSLC, np.ndarray, jc.Patterns],
+) -> None:
+    network, _, patterns = arm
+    k, every = fitted(network, patterns), np.ones(network.size, bool)
+
+    def shown(scale: Estimate | None) -> str | None:
+        return possible_faults(network, patterns, k, every, scale=scale).within.get(SHOWN_SCALE)
+
+    assert shown(None) == "nothing"
+    # 0.05 + 1.96 · 0.15
+    assert shown(Estimate(0.05, 0.15)) == "± 34 %"
+    assert shown(Estimate(0.05, 0.1)) is None
 
 
 def test_what_is_known_is_not_moved(arm: tuple[jc.CSLC, np.ndarray, jc.Patterns]) -> None:
@@ -148,7 +165,8 @@ def test_a_report_says_how_far_and_keeps_the_standard_error(
         np.asarray(patterns.time), np.asarray(patterns.q), np.asarray(patterns.torque)
     )
     report = jc.identify(network, recording, settings=jc.Settings(), possible="never", checks=False)
-    assert set(report.systematic.within) == {TORQUE_SCALE, CLOCK, ZEROS}
+    assert set(report.systematic.within) == {TORQUE_SCALE, CLOCK, ZEROS, SHOWN_SCALE}
+    assert "Nothing but the tolerance bounds a common factor of all torques." in report.verdict
     row = report["kv1"]
     assert row["standard_error"] == float(report.fit.standard_error[network.names.index("kv1")])
     part = report.systematic.parts[TORQUE_SCALE][network.names.index("kv1")]

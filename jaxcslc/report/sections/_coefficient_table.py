@@ -10,7 +10,7 @@ import numpy as np
 from jaxcslc._environment import as_jax
 from jaxcslc._text_table import number_text
 from jaxcslc.least_squares import Identification
-from jaxcslc.uncertainty import SystematicError
+from jaxcslc.uncertainty import SHOWN_SCALE, SystematicError
 
 from .._charts import MatrixChart
 from .._coefficients import coefficient_text, legend_text, readable
@@ -87,7 +87,8 @@ class CoefficientSection(AbstractSection):
         others = ", ".join(f"{kinds[kind]} {kind}" for kind in _VERDICT_TONES if kinds[kind])
         yield Message(
             f"{well} of {counted(len(rows), 'coefficient')} well determined"
-            + (f"; {others}." if others else "."),
+            + (f"; {others}." if others else ".")
+            + _scale_statement(report.systematic),
             # What is zero on the arm cannot be known to a tenth of itself.
             "caution" if kinds["not determined"] or well <= doubtful else "good",
         )
@@ -123,6 +124,18 @@ class CoefficientSection(AbstractSection):
                 Table(tuple(_COLUMNS.values()), rows, name="coefficients-table"),
             ],
         )
+
+
+def _scale_statement(systematic: SystematicError | None) -> str:
+    """Return a sentence on a common factor of all torques, if only a tolerance bounds it.
+
+    >>> _scale_statement(SystematicError({}, {"torque scale shown": "± 40 %"}))
+    " The robot's file shows a common factor of all torques to ± 40 % only."
+    """
+    shown = "" if systematic is None else systematic.within.get(SHOWN_SCALE, "")
+    if shown == "nothing":
+        return " Nothing but the tolerance bounds a common factor of all torques."
+    return f" The robot's file shows a common factor of all torques to {shown} only." * bool(shown)
 
 
 class SystematicSection(AbstractSection):

@@ -20,6 +20,7 @@ import scipy
 import jaxcslc as jc
 from jaxcslc.checks import Finding
 from jaxcslc.report import all_or_nothing, write_csv
+from jaxcslc.uncertainty import SHOWN_SCALE
 from scripts.studies import command
 from scripts.studies.checks.robots import ARMS, Conditions, arm, record
 from scripts.studies.checks.spoilers import SIZES, SPOILERS, Spoilt, spoilt
@@ -113,7 +114,7 @@ def judged(job: Job) -> dict[str, Any]:
     # What is worth knowing of a fit is whether it is wrong and nothing was said.
     truth = arm(name, seed).coefficients(friction)
     report = _identified(network, case)
-    well, outside = _confident(network, report, truth) if first is None else (0, 0)
+    well, outside, apart = _confident(network, report, truth) if first is None else (0, 0, 0)
     right = first is not None and _is_right(first, case, network)
     wrong = outside > scipy.stats.binom.ppf(1.0 - _CHANCE, well, 1.0 - _LEVEL)
     silent = "silent and wrong" if wrong else "silent and harmless"
@@ -124,6 +125,7 @@ def judged(job: Job) -> dict[str, Any]:
         "why": "" if report is None else report.verdict,
         "well_determined": well,
         "outside": outside,
+        "outside_apart": apart,
         "first": "" if first is None else first.kind,
         "joint": "" if first is None else first.joint,
         "text": " | ".join(map(str, findings)),
@@ -143,15 +145,30 @@ def _identified(network: jc.CSLC, case: Spoilt) -> jc.Report | None:
         return None
 
 
-def _confident(network: jc.CSLC, report: jc.Report | None, truth: np.ndarray) -> tuple[int, int]:
-    """Return how many coefficients are well determined, and how many of these are wrong."""
+def _confident(
+    network: jc.CSLC, report: jc.Report | None, truth: np.ndarray
+) -> tuple[int, int, int]:
+    """Return how many coefficients are well determined, and how many of these are wrong.
+
+    The latter twice: as they are, and apart from a factor of all torques that the report says to be
+    possible.
+    """
     if report is None or report.network.size != len(truth):
-        return 0, 0
+        return 0, 0, 0
     rows = report.rows(_LEVEL)
     well = np.array([row["verdict"] == "well determined" for row in rows])
-    low, high = (np.array([row[end] for row in rows], float) for end in ("low", "high"))
-    outside = well & ((truth < low) | (truth > high))
-    return int(well.sum()), int(outside.sum())
+    low, high = (np.array([row[end] for row in rows], float)[well] for end in ("low", "high"))
+    truth = truth[well]
+
+    def outside(factor: float) -> int:
+        return int(np.sum((factor * truth < low) | (factor * truth > high)))
+
+    shown = "" if report.systematic is None else report.systematic.within.get(SHOWN_SCALE, "")
+    factor = 1.0
+    if shown and well.any():
+        bound = np.inf if shown == "nothing" else float(shown.strip("± %")) / 100.0
+        factor = float(np.clip(np.median(0.5 * (low + high) / truth), 1.0 - bound, 1.0 + bound))
+    return int(well.sum()), outside(1.0), outside(factor)
 
 
 def clean_conditions(seed: int) -> Conditions:
@@ -225,10 +242,14 @@ def _count(rows: list[dict[str, Any]], result: str, size: int | None = None) -> 
 
 
 def _confident_text(rows: list[dict[str, Any]]) -> str:
-    """Coefficients outside of their intervals, of those called well determined without a word."""
+    """Coefficients outside of their intervals, of those called well determined without a word.
+
+    In brackets: apart from a factor of all torques that the report says to be possible.
+    """
     silent = [row for row in rows if not row["first"]]
-    outside, well = (sum(row[key] for row in silent) for key in ("outside", "well_determined"))
-    return f"{outside} of {well}"
+    keys = ("outside", "outside_apart", "well_determined")
+    outside, apart, well = (sum(row[key] for row in silent) for key in keys)
+    return f"{outside} ({apart}) of {well}"
 
 
 if __name__ == "__main__":
