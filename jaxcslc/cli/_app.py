@@ -7,16 +7,12 @@ from collections.abc import Mapping, Sequence
 from importlib import import_module
 from importlib.metadata import version
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
-from ._errors import one_line_errors, show
+from ._common import Command, one_line_errors, show
 from ._help import program_text
 from ._options import UsageError, did_you_mean
 from ._process import collect_garbage
 
-
-if TYPE_CHECKING:
-    from ._common import Command
 
 # Of each command: its module, imported when it is typed, and its summary.
 _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
@@ -49,7 +45,7 @@ SUMMARIES = {
 _RENAMED = MappingProxyType({"constants": "torque-constants"})  # names of before
 
 
-def command_named(name: str) -> "Command":
+def command_named(name: str) -> Command:
     """Return a command.
 
     **Raises** `UsageError` for a name that none has.

@@ -4,7 +4,7 @@
     dynamics, laws ────────────┴──► _expressions ──┬──► _arrays       arrays of NumPy or JAX
                                                    ├──► _programs     blocks of NumPy arrays, or C
                                                    └──► _c_text       statements of C and CUDA C
-                                                          └──► _c_function, _cuda
+                                                          └──► _c_function
 
 `_arrays` also says how JAX compiles: per platform, in blocks. The package knows nothing
 of robots and imports no other package of the project.
@@ -23,6 +23,10 @@ from ._c_function import (
     CArray as CArray,
     CFunction as CFunction,
     CRows as CRows,
+    Kernel as Kernel,
+    assembly as assembly,
+    kernels_run as kernels_run,
+    multiprocessors as multiprocessors,
 )
 from ._c_text import (
     LANES_TEXT as LANES_TEXT,
@@ -34,12 +38,6 @@ from ._c_text import (
     comment_text as comment_text,
     identifier as identifier,
     is_identifier as is_identifier,
-)
-from ._cuda import (
-    Kernel as Kernel,
-    assembly as assembly,
-    kernels_run as kernels_run,
-    multiprocessors as multiprocessors,
 )
 from ._expressions import (
     Expressions as Expressions,

@@ -1,23 +1,21 @@
 """Examples: small robots for docstrings, and whole arms with files to try the command on.
 
-- `_small_arms`: pendulum, turntable and planar arm, and exact motions of them.
-- `_arms`: robot files, and simulated logs with noise, written by `jaxcslc example`.
+- `_arms`: pendulum, turntable and planar arm, and exact motions of them; robot files, and simulated
+  logs with noise, written by `jaxcslc example`.
 - `_servo_arm`: the same of an arm of position servos.
 """
 
 from ._arms import (
     ARMS as ARMS,
     Example as Example,
-    read_truth as read_truth,
-    write_example as write_example,
-)
-from ._small_arms import (
     pendulum as pendulum,
     planar_arm as planar_arm,
+    read_truth as read_truth,
     swing as swing,
     swing_recording as swing_recording,
     tank as tank,
     turntable as turntable,
+    write_example as write_example,
 )
 
 

@@ -2,7 +2,8 @@
 
 A new estimator is a file beside this one with a subclass of `AbstractEstimator`, and its line in
 `ESTIMATORS` (`__init__.py`). `fit` is enough: by default its fit is judged on the last part of each
-recording, predicted by a fit to what is before it, or on the validation recording.
+recording, predicted by a fit to what is before it, or on the validation recording. Its systematic
+error includes faults that stay possible (`with_possible_faults`).
 """
 
 import abc
@@ -14,12 +15,22 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..bodies import ChosenPrior, FilePrior
 from ..friction import along_motion
-from ..least_squares import Identification, Settings, torque_of
+from ..least_squares import Fixed, Identification, Settings, torque_of
 from ..likelihood import LikelihoodFit, Misfit
 from ..network import CSLC
 from ..recordings import Patterns, Recording
-from ..uncertainty import HeldOut, SeveralFit, Source, held_out_from, judged_errors
+from ..uncertainty import (
+    Estimate,
+    HeldOut,
+    SeveralFit,
+    Source,
+    SystematicError,
+    held_out_from,
+    judged_errors,
+    possible_faults,
+)
 from ._exclusions import Request
 from ._problem import PreparedRecording, Problem, joined
 
@@ -195,3 +206,59 @@ def held_out_of(
         network=fit.network,
         source=source,
     )
+
+
+# Singular values of scaled covariances that count: coefficients of one body may be proportional.
+_ROUNDING = 1e-10
+
+
+def with_possible_faults(
+    problem: Problem,
+    network: CSLC,
+    fit: Identification,
+    systematic: SystematicError | None,
+    unconstrained: Identification,
+    file: ChosenPrior | None,
+) -> SystematicError | None:
+    """Add the errors by faults within tolerances to a fit's systematic error, if there is one.
+
+    - `network`, `fit`: that the report has.
+    - `unconstrained`: without the prior of the robot's `file`.
+    """
+    if systematic is None:
+        return None
+    k, groups = np.asarray(fit.k), problem.request.groups
+    free = np.asarray(fit.determined).copy()
+    free[[i for i, entry in problem.known.items() if entry.fixed]] = False
+    if groups is not None:
+        fitted = np.zeros(network.size, bool)
+        fitted[list(Fixed.except_for(network, k, groups).free)] = True
+        free &= fitted
+    scale, follow = Estimate(), None
+    if file is not None:
+        scale = torque_scale(file.prior, unconstrained)
+        follow = file.prior.data_share(unconstrained)
+    faults = possible_faults(
+        network, problem.patterns["training"], k, free, scale=scale, follow=follow
+    )
+    parts = {cause: np.where(free, part, 0.0) for cause, part in faults.parts.items()}
+    return SystematicError({**systematic.parts, **parts}, faults.within)
+
+
+def torque_scale(prior: FilePrior, fit: Identification) -> Estimate:
+    """Return what a robot's file says of the factor of all torques, less 1.
+
+    A fit's inertial coefficients are the file's times the factor, within the errors of both
+    (generalised least squares).
+
+    - `fit`: without the prior.
+    """
+    known = np.flatnonzero(prior.inertial & np.asarray(fit.determined))
+    covariance = (np.asarray(fit.covariance) + prior.covariance)[np.ix_(known, known)]
+    sizes = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    inverse = np.linalg.pinv(covariance / np.outer(sizes, sizes), _ROUNDING, hermitian=True)
+    file, fitted = prior.mean[known] / sizes, np.asarray(fit.k)[known] / sizes
+    information = float(file @ inverse @ file)
+    if not information > 0.0:
+        return Estimate()
+    return Estimate(float(file @ inverse @ fitted) / information - 1.0, information**-0.5)

@@ -22,10 +22,9 @@ from ..uncertainty import (
     fit_recordings,
     fold_numbers,
 )
-from ._estimator import AbstractEstimator, Fit, Judged, held_out_of
+from ._estimator import AbstractEstimator, Fit, Judged, held_out_of, with_possible_faults
 from ._exclusions import BODIES, LOAD_FRICTION, OFFSETS, PREVIOUS, SEVERAL
 from ._problem import Problem
-from ._tolerances import with_possible_faults
 
 
 @dataclasses.dataclass(frozen=True)

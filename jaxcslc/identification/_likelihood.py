@@ -50,11 +50,10 @@ from ..uncertainty import (
     SystematicError,
     held_out_from,
 )
-from ._estimator import AbstractEstimator, Begin, Fit, Judged, held_out_of
+from ._estimator import AbstractEstimator, Begin, Fit, Judged, held_out_of, with_possible_faults
 from ._exclusions import BODIES, LIKELIHOOD, SEVERAL, Request
 from ._least_squares import Regression, with_states
 from ._problem import Problem, joined, without_lag
-from ._tolerances import with_possible_faults
 
 
 _SOURCE: Source = "held-out stretch"

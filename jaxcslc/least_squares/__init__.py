@@ -13,7 +13,7 @@ There are four routes to one triangle per joint. `_factors` factorises short rec
 Triangles are joined. Streams, shards, files of a cluster and folds are other blocks; filtered and
 weighted equations are other rows.
 
-- `_rounding`: columns of which nothing but rounding is left.
+- `_columns` also finds columns of which nothing but rounding is left.
 - `_settings`: from a recording to coefficients; `_least_squares`: the estimator and its options.
 - `_identification`: the result.
 - `_errors`, `_losses`: a second pass over the equations, for correlated errors and robust losses.

@@ -20,9 +20,8 @@ from ..recordings import (
     samples_kept,
     uniform_interval,
 )
-from ._columns import LONG, HostColumns, columns_of, rows_of
+from ._columns import LONG, HostColumns, columns_of, rounding_of, rows_of
 from ._factors import JointFactors, Unknowns, joined_factors
-from ._rounding import rounding_of
 
 
 # Samples that a recording has at least.

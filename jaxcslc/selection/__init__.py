@@ -2,10 +2,9 @@
 
 In: a network and a recording. Out: `Settings` or friction terms, with all trials.
 
-- `_selection`: `choose_settings`, by held-out scores.
+- `_selection`: `choose_settings`, by held-out scores, and the part of a long recording it uses.
 - `_candidates`: what it chooses among, and the search along it.
 - `_friction`: friction terms, joint by joint.
-- `_section`: the part of a long recording that is used.
 """
 
 from ._candidates import Candidates as Candidates
@@ -17,13 +16,15 @@ from ._friction import (
     FrictionTrial as FrictionTrial,
     choose_friction as choose_friction,
 )
-from ._section import Segment as Segment, section_of as section_of, sections_of as sections_of
 from ._selection import (
     SAMPLES_OF_THREADS as SAMPLES_OF_THREADS,
+    Segment as Segment,
     Selection as Selection,
     Trial as Trial,
     choose_settings as choose_settings,
     motion_part as motion_part,
+    section_of as section_of,
+    sections_of as sections_of,
     selection_with_motion as selection_with_motion,
 )
 

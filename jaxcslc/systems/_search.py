@@ -221,15 +221,12 @@ class ProjectedError(eqx.Module):
         return jnp.swapaxes(rows, 0, 1), jnp.where(mask, torque, 0.0).T
 
     def factors(self, rows: Array, torque: Array) -> JointFactors:
-        triangles = [
-            jnp.linalg.qr(
-                jnp.concatenate([of_joint[:, np.array(support, int)], right[:, None]], axis=1),
-                mode="r",
-            )
+        equations = (
+            jnp.concatenate([of_joint[:, np.array(support, int)], right[:, None]], axis=1)
             for of_joint, right, support in zip(rows, torque, self.network.support, strict=True)
-        ]
+        )
         counts = jnp.sum(self.patterns.mask, axis=0, dtype=rows.dtype)
-        return JointFactors(tuple(triangles), counts)
+        return JointFactors.from_rows(tuple(equations), counts)
 
     def solve(self, factors: JointFactors) -> Solution:
         """Return the best coefficients, by the direct solve."""

@@ -4,14 +4,13 @@ Every term is an `AbstractTerm`: it computes torque, regressor and columns of it
 coefficients.
 
 - `_term`, `_input_term`: the classes from which terms derive, and functions of their inputs.
-- `_joint_term`: the table of laws of single joints, and their terms.
-- `_load_friction`, `_coupled`: friction with the rigid torque, joints that share a shaft.
+- `_joint_term`: the table of laws of single joints, and terms of one joint or of two that share a
+  shaft; `_load_friction`: friction with the rigid torque.
 - `_rigid_body`: links and motors in any form; `_rigid_body_tables`: in closed form;
   `_rigid_body_recursion`: by recursion, unrolled or as `_rolled` scans of JAX.
 - `_joint_projection`: terms of robots with joints that follow others.
 """
 
-from ._coupled import CoupledTerm as CoupledTerm
 from ._input_term import (
     JAX_FUNCTIONS as JAX_FUNCTIONS,
     AbstractFunctions as AbstractFunctions,
@@ -23,6 +22,7 @@ from ._joint_term import (
     DIRECTIONAL_LOAD as DIRECTIONAL_LOAD,
     JOINT_LAWS as JOINT_LAWS,
     LOAD as LOAD,
+    CoupledTerm as CoupledTerm,
     JointLaw as JointLaw,
     JointTerm as JointTerm,
     LawProperties as LawProperties,
