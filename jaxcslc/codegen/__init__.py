@@ -18,8 +18,10 @@ from ._arrays import (
     named as named,
 )
 from ._c_function import (
+    BLOCK_OVERHEAD as BLOCK_OVERHEAD,
     INTEGERS as INTEGERS,
     LONG as LONG,
+    SHARED_MEMORY as SHARED_MEMORY,
     CArray as CArray,
     CFunction as CFunction,
     CRows as CRows,

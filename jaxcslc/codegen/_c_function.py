@@ -341,6 +341,8 @@ def _processor() -> str:
 
 # Of an H100, where the device does not say how many it has.
 _MULTIPROCESSORS = 132
+SHARED_MEMORY, BLOCK_OVERHEAD = 227 * 1024, 1024
+"""Shared memory of an H100's multiprocessor, and what the system takes for a block [bytes]."""
 # Those with matrix units for float64.
 _LEAST_CAPABILITY = 8.0
 

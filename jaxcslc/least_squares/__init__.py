@@ -53,6 +53,7 @@ from ._equations import (
 )
 from ._errors import (
     ERRORS as ERRORS,
+    LEAST_LEFT as LEAST_LEFT,
     CosineSums as CosineSums,
     Errors as Errors,
     Rows as Rows,
@@ -92,6 +93,7 @@ from ._losses import (
     weights_of_scales as weights_of_scales,
 )
 from ._minimum import (
+    UNDETERMINED_SHARE as UNDETERMINED_SHARE,
     Fixed as Fixed,
     FoldFit as FoldFit,
     JointWeights as JointWeights,

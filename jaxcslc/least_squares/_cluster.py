@@ -26,10 +26,6 @@ from ._least_squares import LeastSquares
 from ._settings import Settings
 
 
-# Rows of a file that are read at once.
-_ROWS = 1 << 16
-
-
 @dataclasses.dataclass(frozen=True)
 class Derivation:
     """Recipe to derive a network again, sent to another process instead of the network.
@@ -120,7 +116,8 @@ def _block_factors(path: str, work: Work) -> JointFactors:
 
 
 def _patterns_as_recorded(path: str, network: CSLC) -> Iterator[Patterns]:
-    for chunk in iterate_recording(path, _ROWS, joints=network.output_names):
+    # Rows of a file that are read at once.
+    for chunk in iterate_recording(path, 1 << 16, joints=network.output_names):
         if chunk.velocity is None or chunk.acceleration is None:
             raise ValueError(
                 f"{path}: has no velocities and accelerations; expected both, or settings that"
@@ -129,10 +126,6 @@ def _patterns_as_recorded(path: str, network: CSLC) -> Iterator[Patterns]:
         everything = np.ones(chunk.position.shape, bool)
         motion = chunk.position, chunk.velocity, chunk.acceleration
         yield Patterns(chunk.time, *motion, chunk.torque, everything, everything)
-
-
-# Times that a file is tried again when a worker has failed on it, as by being killed.
-_RETRIES = 2
 
 
 def fit_on_cluster(
@@ -310,8 +303,9 @@ def _factors_of_files(
     names = [str(Path(path).absolute()) for path in paths]
     distributed = require("distributed", "cluster")
     with _client_or_local(distributed, client) as cluster:
+        # Times that a file is tried again when a worker has failed on it, as by being killed.
         futures = cluster.map(
-            block_factors, names, work=work, retries=_RETRIES, pure=False, key="factorise"
+            block_factors, names, work=work, retries=2, pure=False, key="factorise"
         )
         order = {future.key: index for index, future in enumerate(futures)}
         factors: dict[int, JointFactors] = {}

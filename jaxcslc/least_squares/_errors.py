@@ -36,7 +36,7 @@ Result = TypeVar("Result")
 COMPONENTS = 32
 _FEWEST_COMPONENTS = 8
 # A fit that leaves less of the noise than this part has as good as no residuals.
-_LEAST_LEFT = 0.05
+LEAST_LEFT = 0.05
 # Autocorrelation further apart than this part of the recording is mostly chance.
 _FURTHEST = 4
 # Half a block in the phase of the highest cosine [rad], and powers of the time within a block that
@@ -434,5 +434,5 @@ def correlated_covariance(
     whole = number * xp.diag(inverse_gram)
     left = xp.where(whole > 0.0, (before - taken) / xp.where(whole > 0.0, whole, 1.0), 1.0)
     # Where next to nothing is left, nothing can be said; a floor keeps it finite.
-    root = xp.sqrt(xp.maximum(left, _LEAST_LEFT))
+    root = xp.sqrt(xp.maximum(left, LEAST_LEFT))
     return covariance / root[:, None] / root[None, :]

@@ -14,7 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Shaped
 
-from ..codegen import Kernel, KernelText, Motion, Operation, Value, kernels_run
+from ..codegen import (
+    BLOCK_OVERHEAD,
+    SHARED_MEMORY,
+    Kernel,
+    KernelText,
+    Motion,
+    Operation,
+    Value,
+    kernels_run,
+    multiprocessors,
+)
 from ..network import CSLC, AbstractLinearNetwork
 from ._host_kernel import WeightedColumn, has_kernels, sampled, weighted_columns
 
@@ -26,12 +36,9 @@ _PATTERNS = 32
 # Rows of patterns in shared memory, padded so that what a warp reads at once is in other banks.
 _STRIDE = _PATTERNS + 4
 _TILE = 8
-# Blocks that a multiprocessor holds at once, so that one computes columns while another multiplies,
-# and its memory for them [bytes]: of a PUMA 560 four, of a Panda two.
+# Blocks that a multiprocessor holds at once, so that one computes columns while another multiplies:
+# as its memory allows, of a PUMA 560 four, of a Panda two.
 _MOST_RESIDENT = 4
-_SHARED, _RESERVED = 227 * 1024, 1024  # of which a block takes so many besides its own
-# Multiprocessors of a device that does not say: those of an A100.
-_MULTIPROCESSORS = 108
 # Shared memory of a block that GPUs of compute capability 8.0 and 9.0 have [bytes].
 _SHARED_BY_BLOCK = 160_000
 # Of an 8 x 4 piece of a matrix that a warp multiplies by: a row and a column for each thread.
@@ -142,7 +149,7 @@ def _source(
     rows = sum(sizes) + 3  # what is read behind the last joint's counts for nothing
     doubles = _TILE**2 * tiles + 2 * _PATTERNS * len(angles) + _STRIDE * rows
     shared = 8 * doubles + 4 * (sum(sizes) + sum(sizes) % 2)
-    resident = max(min(_SHARED // (shared + _RESERVED), _MOST_RESIDENT), 1)
+    resident = max(min(SHARED_MEMORY // (shared + BLOCK_OVERHEAD), _MOST_RESIDENT), 1)
     source = _KERNEL.format(
         joints=len(motion.q),
         inverse=_TILE**2 * tiles,
@@ -255,7 +262,7 @@ def fused_gram_matrices(
     In one kernel: columns stay in a multiprocessor's memory.
     """
     packed, rows = packed_inverses(kernel.sizes, [jnp.asarray(x) for x in inverses])
-    blocks = kernel.resident * int(getattr(jax.devices()[0], "core_count", _MULTIPROCESSORS))
+    blocks = kernel.resident * multiprocessors()
     result = jax.ShapeDtypeStruct((blocks, kernel.tiles, _TILE, _TILE), jnp.float64)
     count = jnp.full(1, len(motion[0]), jnp.int64)
     (partial,) = kernel.kernel(blocks, [result], *motion, packed, rows, count)

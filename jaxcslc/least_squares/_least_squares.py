@@ -48,10 +48,6 @@ from ._minimum import (
 from ._products import corrected, needs_correction
 
 
-# Of many patterns, those in which columns of rounding are looked for.
-_SAMPLES = 1 << 12
-
-
 def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
     """**Raises** `ValueError` for a value that is none of the choices."""
     if value not in choices:
@@ -355,7 +351,8 @@ class LeastSquares:
             return self._fit_rows(unknowns, factors, rows if self._passes_twice else None, fixed)
         if self.cutoff is None and are_many(patterns):
             if isinstance(patterns.q, np.ndarray):
-                some = rows_of(patterns, slice(None, None, max(len(patterns.q) // _SAMPLES, 1)))
+                # Of many patterns, those in which columns of rounding are looked for.
+                some = rows_of(patterns, slice(None, None, max(len(patterns.q) // (1 << 12), 1)))
                 unknowns = unknowns_of(network, some, columns_of(network, some))
             factors = factors_of_blocks(network, blocks_of_patterns(network, patterns))
             rows = Rows.from_patterns(network, patterns) if self._passes_twice else None

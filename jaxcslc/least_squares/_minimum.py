@@ -22,11 +22,9 @@ from ._identification import Identification
 
 # Of residuals, as a part of the torque: what is smaller is rounding.
 _ROUNDING = 1e-12
-# Weights settle to a percent in two rounds: residuals barely depend on them.
-_ROUNDS = 3
 # A coefficient that shares this part of a unit null vector is not determined by itself: rounding of
 # null vectors, whose singular values are at least 10^-14 of the largest, is below it.
-_SHARE = 1e-6
+UNDETERMINED_SHARE = 1e-6
 
 # NumPy's arrays or JAX's.
 Numbers = Any
@@ -195,7 +193,7 @@ def minimum(
         condition=singular[..., 0]
         / xp.min(xp.where(counted, singular, singular[..., :1]), axis=-1),
         undetermined=null / scale[..., None, :],
-        determined=xp.sqrt(xp.sum(null**2, axis=-2)) < _SHARE,
+        determined=xp.sqrt(xp.sum(null**2, axis=-2)) < UNDETERMINED_SHARE,
         finite=reduced.finite,
     )
     if fixed is None:
@@ -222,7 +220,8 @@ def joint_weights_of(
             raise ValueError(f"joint_weights: expected {n} numbers, got {len(joint_weights)}")
         weights = weights * xp.asarray(joint_weights, float)
     by_residual = isinstance(joint_weights, str) and joint_weights == "residual"
-    for number in range(_ROUNDS if by_residual else 0):
+    # Weights settle to a percent in two rounds: residuals barely depend on them.
+    for number in range(3 if by_residual else 0):
         k = minimum_coefficients(unknowns, factors, weights, rcond, fixed)
         weights = residual_weights(
             factors.root_mean_squares(unknowns, k),

@@ -33,8 +33,6 @@ _SHIFT = 1e-8
 LARGEST_ERROR = 100.0
 # Columns behind a preconditioner count as zero up to this, in the same units.
 _NEGLIGIBLE = 0.5 * LARGEST_ERROR
-# Each factor that is not good enough is the preconditioner of the next.
-_PASSES = 3
 
 Motion = tuple[Array | np.ndarray, ...]
 """q, qd, qdd (samples, m), torque and weight (samples, n), on the host or on a device."""
@@ -193,7 +191,8 @@ def factors_of(
     if kernel is not None:
         if preconditioner is None:
             preconditioner = sample_of(motion, kernel)
-        for _ in range(_PASSES):
+        # Each factor that is not good enough is the preconditioner of the next.
+        for _ in range(3):
             *grams, counts = kernel.products(preconditioner.inverses, *motion)
             triangles, errors = triangles_of(preconditioner, grams)
             # Rows that are not finite, whose errors are NaN, have no better factors.
@@ -247,8 +246,6 @@ _LARGEST_ERROR = 1e-9
 _OF_TORQUE, _OF_CONDITION = 8.0, 0.5
 # Patterns whose products are added to sums of their own, a power of two; joined in the end.
 _CPU_LANES, _GPU_LANES = 1 << 11, 1 << 17
-# Of a float64's 52 bits the upper half: products of such numbers are exact.
-_UPPER_HALF = -(1 << 27)
 
 
 def needs_correction(
@@ -354,7 +351,8 @@ def _product(x: Array, y: Array) -> tuple[Array, Array]:
 
 def _upper_half(x: Array) -> Array:
     bits = jax.lax.bitcast_convert_type(x, jnp.int64)
-    return jax.lax.bitcast_convert_type(bits & _UPPER_HALF, jnp.float64)
+    # Of a float64's 52 bits the upper half: products of such numbers are exact.
+    return jax.lax.bitcast_convert_type(bits & -(1 << 27), jnp.float64)
 
 
 def _sum(x: Array, y: Array) -> tuple[Array, Array]:

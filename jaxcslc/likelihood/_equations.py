@@ -41,8 +41,6 @@ Laws = Float[np.ndarray, " laws"]
 _CHUNK = 4096
 # Below so many samples there are no differences of differences.
 _FEWEST = 5
-# Means are inverted in so many rounds: at even intervals, one leaves errors of fourth order.
-_ROUNDS = 3
 
 
 class Linearisation(NamedTuple):
@@ -294,7 +292,8 @@ def _of_recording(
     parabola = (after * slope[:-1] + before * slope[1:]) / (before + after)
     mean_acceleration = 2.0 * np.diff(slope, axis=0) / (before + after)
     acceleration = mean_acceleration
-    for _ in range(_ROUNDS):
+    # Means are inverted in so many rounds: at even intervals, one leaves errors of fourth order.
+    for _ in range(3):
         acceleration = acceleration + mean_acceleration - mean(acceleration)
     # A parabola's derivative errs by the third derivative times a sixth of both intervals.
     velocity = parabola - before * after / 6.0 * np.gradient(acceleration, middle, axis=0)

@@ -17,8 +17,6 @@ _OUTSIDE = 6.0
 _LEAST_CURVATURE = 1e-2
 # Readings further inside than this, in the same widths, say nothing: their probability rounds to 1.
 _INSIDE = 9.0
-# Readings that a thread computes.
-_CHUNK = 32_768
 # Terms of the exponential beyond which a normal density is nothing.
 _FAR = 38.0
 
@@ -123,7 +121,8 @@ def interval(
         for of_all, of_near in zip(result, values, strict=True):
             of_all.reshape(-1)[first:last][near] = of_near
 
-    over_chunks(compute, residual.size, _CHUNK)
+    # Readings that a thread computes.
+    over_chunks(compute, residual.size, 32_768)
     return WorkingReadings(*result)
 
 

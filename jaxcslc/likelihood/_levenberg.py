@@ -15,8 +15,6 @@ from ._problem import LikelihoodProblem
 # The laws of counts and of joints that stick are taken where a step ends up to so many times, until
 # the sum of squares falls by this part of what their parabolas promise.
 _MOST_SOLUTIONS, _GOOD_LINEAR_STEP = 8, 0.5
-# Halvings of a step whose solutions have all gone up.
-_MOST_LINEAR_HALVINGS = 20
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,7 +93,8 @@ class LinearMinimum:
         """
         objective, present, best = self.linear.objective, self.linear.present, self
         fall, part = 0.0, 1.0
-        for _ in range(_MOST_LINEAR_HALVINGS):
+        # Halvings of a step whose solutions have all gone up.
+        for _ in range(20):
             part *= 0.5
             step = self.step.scaled(part)
             after = self.linear.after(step, present)

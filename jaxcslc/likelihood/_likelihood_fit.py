@@ -13,7 +13,9 @@ from .._environment import as_jax
 from .._processes import over_chunks
 from ..bodies import PhysicalParameters
 from ..least_squares import (
+    LEAST_LEFT,
     RESULTS,
+    UNDETERMINED_SHARE,
     CosineSums,
     Errors,
     Identification,
@@ -233,8 +235,6 @@ def _change(
 
 # How often white residuals are taken for correlated ones: intervals of 95 % are then no less right.
 _LEVEL = 0.05
-# A fit that leaves less of the noise than this part has as good as no residuals.
-_LEAST_LEFT = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
@@ -279,7 +279,7 @@ class Whiteness:
         taken = float(np.sum(bent * np.swapaxes(bent, 1, 2)))
         spread = inverse @ gram
         total = float(np.trace(spread))
-        expected = components * total * max(1.0 - taken / before, _LEAST_LEFT)
+        expected = components * total * max(1.0 - taken / before, LEAST_LEFT)
         count = components * total**2 / float(np.sum(spread * spread.T))
         return cls(components, square / expected, count)
 
@@ -393,10 +393,6 @@ def cosine_sums(rows: RowSums, used: Float[np.ndarray, " components"]) -> Cosine
         np.tensordot(middle, rows.grams, axes=1),
         np.tensordot(np.sum(middle**2, axis=0), rows.grams, axes=1),
     )
-
-
-# A coefficient that shares this part of a unit null vector is not determined by itself.
-_SHARE = 1e-6
 
 
 class LikelihoodFit(eqx.Module):
@@ -554,7 +550,7 @@ def border_errors(minimum: Minimum, errors: Errors) -> BorderErrors:
     independent, covariance = (
         matrix * scale[:, None] * scale[None, :] for matrix in (bound, reported.covariance)
     )
-    unclear = np.sqrt(np.sum(spectrum.undetermined**2, axis=0)) >= _SHARE
+    unclear = np.sqrt(np.sum(spectrum.undetermined**2, axis=0)) >= UNDETERMINED_SHARE
     error = np.where(unclear, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
     return BorderErrors(reported, spectrum, covariance, independent, error)
 

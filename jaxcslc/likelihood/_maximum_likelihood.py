@@ -21,10 +21,6 @@ from ._search import Minimum, search
 from ._spacing import NoiseExcitation, SpacingChoice, excess_noise, spacing_for
 
 
-# A misfit is known well enough when the sum of squares falls by no more than this part in a step.
-_MISFIT_TOLERANCE = 1e-3
-
-
 class _Searched(NamedTuple):
     """A problem, where its search started, where it ended, noise that excites there, and why
     positions are as far apart as they are."""
@@ -258,12 +254,14 @@ class MaximumLikelihood:
         noise = np.where(encoders, np.maximum(noise, position_noise), position_noise)
         first = SearchStart(point, np.broadcast_to(torque_noise, residual.shape), noise)
         others = (name for name, _ in problem.layout.sizes if name != "offset")
+        # A misfit is known well enough when the sum of squares falls by no more than this part in
+        # a step.
         minimum = search(
             problem.fixing(*others),
             *first,
             lambda words: None,
             fixed_levels=True,
-            tolerance=_MISFIT_TOLERANCE,
+            tolerance=1e-3,
         )
         return Misfit.of(minimum, problem.readings.part, problem.joints)
 

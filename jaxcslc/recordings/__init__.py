@@ -65,6 +65,7 @@ from ._recording import (
     without_stale_rows as without_stale_rows,
 )
 from ._sampling import (
+    NORMAL_MEDIAN as NORMAL_MEDIAN,
     UNIFORM_TO as UNIFORM_TO,
     Sampling as Sampling,
     encoder_resolution as encoder_resolution,

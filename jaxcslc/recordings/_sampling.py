@@ -17,7 +17,7 @@ _REGULAR = 0.01
 _ORDER = 6  # of the differences that noise is seen in
 _BINOMIAL = np.poly(np.ones(_ORDER))  # of even intervals
 _THIRD = np.poly(np.ones(3))  # the same of third differences
-_MEDIAN = 0.6745  # absolute value of a normal variable, in standard deviations
+NORMAL_MEDIAN = 0.6745  # absolute value of a normal variable, in standard deviations
 # Third differences that see more than so many times as much as sixth ones have seen motion.
 _MOTION = 1.5
 
@@ -176,9 +176,9 @@ def noise_level(values: Signals) -> Float[np.ndarray, " joints"]:
     True
     """
     third = np.median(np.abs(np.diff(values, n=3, axis=0)), axis=0)
-    scatter = third / (_MEDIAN * np.linalg.norm(_THIRD))
+    scatter = third / (NORMAL_MEDIAN * np.linalg.norm(_THIRD))
     if len(differences := sixth_differences(values)):
-        sixth = np.median(np.abs(differences), axis=0) / _MEDIAN
+        sixth = np.median(np.abs(differences), axis=0) / NORMAL_MEDIAN
         scatter = np.where(scatter > _MOTION * sixth, sixth, scatter)
     return np.maximum(scatter, encoder_resolution(values) / STEP_DEVIATIONS)
 

@@ -24,14 +24,10 @@ Verdict = Literal["alone", "only in combinations", "not at all"]
 _COMPLEX_STEP = 1e-30
 # The search for constants ends when a step changes them by less than this part.
 _PRECISION = 1e-12
-# The searches start from constants of these sizes, in their units.
-_SIZES = (1.0, 0.1, 10.0)
 # Coefficients that were met exactly count as if their relative error were this.
 _LEAST_ERROR = 1e-9
 # How far constants may miss coefficients: standard errors, and of exact ones a part of themselves.
 _MISSED_ERRORS, _MISSED_PART = 10.0, 1e-3
-# Random values of constants, except their signs, and of the motion in SI units.
-_CONSTANTS, _STATES = (0.5, 1.5), (-2.0, 2.0)
 # Of a complex number: a smaller imaginary part is rounding.
 _REAL = 1e-12
 
@@ -75,7 +71,7 @@ def determine_identifiability(separation: "Separation") -> tuple[ConstantIdentif
     """
     symbols, draw = separation.symbols, np.random.default_rng(0)
     signs = [-1 if symbol.is_negative else 1 for symbol in symbols.values()]
-    point = np.array([draw.uniform(*_CONSTANTS) * sign for sign in signs])
+    point = np.array([draw.uniform(0.5, 1.5) * sign for sign in signs])
     gradient = _gradient(separation, point)
     rank = numerical_rank(gradient.T)
     rows: list[ConstantIdentifiability] = []
@@ -119,7 +115,8 @@ def independent(system: "System", regressor: Sequence[Sequence[Any]]) -> bool:
     }
     expressions = [[x.subs(searched) for x in row] for row in regressor]
     function = lambdify(arguments, expressions, modules="numpy", cse=True)
-    states = draw.uniform(*_STATES, (len(arguments), 20 + 4 * size))
+    # Random values of constants, except their signs, and of the motion in SI units.
+    states = draw.uniform(-2.0, 2.0, (len(arguments), 20 + 4 * size))
     with np.errstate(all="ignore"):
         values = function(*states.astype(complex))
     count = states.shape[1]
@@ -189,6 +186,7 @@ def constants_from(system: "System", fit: Identification) -> tuple[ConstantEstim
     k, error = np.asarray(fit.k), np.asarray(fit.standard_error)
     size = np.maximum(np.abs(k), np.max(np.abs(k)) * _LEAST_ERROR)
     weight = 1.0 / np.maximum(error, _LEAST_ERROR * size)
+    # The searches start from constants of these sizes, in their units.
     searches = (
         least_squares(
             lambda values: weight * (np.real(separation.evaluate(values)) - k),
@@ -200,7 +198,7 @@ def constants_from(system: "System", fit: Identification) -> tuple[ConstantEstim
             ftol=_PRECISION,
             gtol=_PRECISION,
         )
-        for size in _SIZES
+        for size in (1.0, 0.1, 10.0)
     )
     best = min(searches, key=lambda search: search.cost)
     misfit = np.abs(np.real(separation.evaluate(best.x)) - k)

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from ..recordings import (
     DEFAULT_THRESHOLD_FRACTION,
+    NORMAL_MEDIAN,
     Derivatives,
     Patterns,
     Preparation,
@@ -120,8 +121,6 @@ def load_system_recording(
 # to 0.036 of 2,400 and 0.020 to 0.023 of 6,000 white samples. (A mean square would have 1.26, but
 # is spoilt by events that are rare among the differences.)
 _LEVEL_ERROR = 1.76
-# The median modulus of a normal variable of unit deviation.
-_NORMAL_MEDIAN = 0.6745
 
 
 def measurement_noise(system: "System", recording: SystemRecording) -> dict[str, float]:
@@ -153,7 +152,7 @@ def measurement_noise(system: "System", recording: SystemRecording) -> dict[str,
     differences = sixth_differences(recording.stacked(system.column_names), recording.time)
     if not len(differences):
         return dict.fromkeys(system.column_names, 0.0)
-    typical = np.median(np.abs(differences), axis=0) / _NORMAL_MEDIAN
+    typical = np.median(np.abs(differences), axis=0) / NORMAL_MEDIAN
     levels = np.where(typical > 0.0, typical, np.sqrt(np.mean(differences**2, axis=0)))
     return dict(zip(system.column_names, levels.tolist(), strict=True))
 

@@ -33,8 +33,6 @@ from ._system import System
 # Samples that a search looks at: more would only repeat what smoothing has made alike. The final
 # fit looks at all.
 _SAMPLES = 1500
-_BATCH = 16  # candidates whose error is computed at once
-_STEPS = 60  # of a local search
 _TOLERANCE = 1e-7  # of a local search, relative
 _REFINED = 8  # candidates that local searches start from
 _SAME = 1e-4  # of the bounds: minima no further apart are one
@@ -395,9 +393,7 @@ def _candidates(
 @eqx.filter_jit
 def _errors(problem: ProjectedError, points: Array) -> tuple[Array, Array]:
     """Return `ProjectedError.error` at points."""
-    return jax.lax.map(
-        lambda point: problem.error(problem.values(point)), points, batch_size=_BATCH
-    )
+    return jax.lax.map(lambda point: problem.error(problem.values(point)), points, batch_size=16)
 
 
 def _minima(
@@ -439,7 +435,7 @@ def _descended(problem: ProjectedError, point: Array) -> tuple[Array, Array, Arr
         optimistix.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE),
         point,
         args=problem,
-        max_steps=_STEPS,
+        max_steps=60,
         throw=False,
     )
     values = problem.values(solution.value)

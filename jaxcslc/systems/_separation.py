@@ -137,8 +137,6 @@ class FractionField:
 
 
 Form = dict[Monomial, Any]
-# Of an angle whose functions occur, how many times it is expanded into powers of them.
-_LARGER_MULTIPLES = (2, 4, 8)
 # Fractions of larger denominators are printed as decimals.
 _LONGEST_DENOMINATOR = 20
 
@@ -268,7 +266,8 @@ def separate(system: "System") -> Separation:
     for equations that leave nothing to identify or are true of any multiple of the coefficients.
     """
     separation = _separated(system, 1)
-    for largest_multiple in _LARGER_MULTIPLES:
+    # Of an angle whose functions occur, how many times it is expanded into powers of them.
+    for largest_multiple in (2, 4, 8):
         if independent(system, separation.regressor):
             return separation
         separation = _separated(system, largest_multiple)

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 # Of the equations' largest change with highest derivatives: more counts as a dependence that is
 # not linear.
 _LINEAR = 1e-9
-_BATCH = 256  # samples that are looked at side by side
 
 
 @dataclasses.dataclass(frozen=True)
@@ -252,7 +251,7 @@ def _matrices(model: _Model, motion: Motion) -> tuple[Array, Array]:
         size = jnp.where(size > 0.0, size, 1.0)
         return matrix / size, jnp.max(jnp.abs(other - matrix) / size)
 
-    return jax.lax.map(of_sample, motion, batch_size=_BATCH)
+    return jax.lax.map(of_sample, motion, batch_size=256)
 
 
 @eqx.filter_jit

@@ -16,9 +16,9 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Float
 
-from ..codegen import Kernel, kernels_run, multiprocessors
+from ..codegen import BLOCK_OVERHEAD, SHARED_MEMORY, Kernel, kernels_run, multiprocessors
 from ._functions import LINEAR_COMBINER, Cost, ErrorSum, error_sum
-from ._kernel_statements import KernelStage, RuleStatements, rule_statements
+from ._kernel_statements import MOST_STATEMENTS, KernelStage, RuleStatements, rule_statements
 from ._network import AdaptiveNetwork, Signals
 from ._rules import AbstractRule, Counts, Numbers, Weights
 
@@ -157,8 +157,6 @@ def _rows(
 
 # Threads of a multiprocessor with 255 registers each, and those that run in step.
 _THREADS, _WARP = 256, 32
-# Shared memory of a multiprocessor, and what the system takes of it for a block [bytes].
-_SHARED, _OF_SYSTEM = 227 * 1024, 1024
 _MOST_PATTERNS = 8  # of a block at a time
 
 
@@ -193,7 +191,7 @@ def launch_layout(statements: RuleStatements, trainings: int) -> Launch | None:
     handed = len(statements.stages[-1].handed_in)
     of_pattern = 8 * (2 * row_length(statements) + handed * threads)
     while resident and (
-        chunk := min((_SHARED // resident - _OF_SYSTEM) // of_pattern, _MOST_PATTERNS)
+        chunk := min((SHARED_MEMORY // resident - BLOCK_OVERHEAD) // of_pattern, _MOST_PATTERNS)
     ):
         if chunk > 1 or resident == 1:
             return Launch(threads, resident, chunk, chunk * of_pattern)
@@ -384,9 +382,8 @@ extern "C" __global__ void __launch_bounds__(THREADS, {resident}) changes(
 _WARPS, _RESIDENT = 4, 3
 # Blocks for each that runs at a time: the last ones end together.
 _WAVES = 4
-# Bytes of shared memory that every block gets, and statements that compile in seconds.
+# Bytes of shared memory that every block gets.
 _COST_SHARED = 48_000
-_MOST_STATEMENTS = 20_000
 
 
 def cost_kernel(
@@ -475,7 +472,7 @@ class CostKernel:
         entries = sum(map(len, self.support))
         statements = (entries + self.costs * outputs) * (2 + groups) * self.together
         return (
-            statements <= _MOST_STATEMENTS
+            statements <= MOST_STATEMENTS
             and 8 * _WARPS * self.together * self._numbers <= _COST_SHARED
         )
 

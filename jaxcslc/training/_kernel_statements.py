@@ -484,7 +484,7 @@ def _inverse(graph: Expressions, x: Value) -> Value:
 # What is computed once for all trainings, of a pattern alone.
 _ONCE = ("add", "subtract", "multiply", "sign", "inverse")
 # More statements than these compile for minutes.
-_MOST = 20_000
+MOST_STATEMENTS = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -607,7 +607,7 @@ def rule_statements(
     if jax.tree.leaves(rule) or not network.single_adaptive_layer:
         return None
     links = sum(layer.links.count for _, layer in network.adaptive_layers)
-    if 8 * links > _MOST:
+    if 8 * links > MOST_STATEMENTS:
         return None
     bare = AdaptiveNetwork(
         network.subnetworks, _no_preprocessing, network.activation, network.names
@@ -659,7 +659,7 @@ def _rule_statements(
     forms = [collected.factors(values[i]) for i in entries]
     sums = tuple(collected.value(form) for form, _ in forms)
     factors = tuple(collected.product_value(product) for _, product in forms)
-    if len(collected.graph.needed(sums)) > _MOST:
+    if len(collected.graph.needed(sums)) > MOST_STATEMENTS:
         return None
     rows = _rows(collected.graph, (*sums, *factors))
     shape = outputs[0].shape

@@ -235,7 +235,7 @@ def test_layouts_fit_a_multiprocessor(arm: AdaptiveNetwork) -> None:
 def test_no_layout_where_rows_are_too_long(
     arm: AdaptiveNetwork, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_change, "_SHARED", 1500)
+    monkeypatch.setattr(_change, "SHARED_MEMORY", 1500)
     assert _change.launch_layout(statements_of(arm, PERAL(), (True,) * len(arm.groups)), 64) is None
 
 
