@@ -146,7 +146,8 @@ def possible_faults(
 
     A fault adds torque of first order to that of the motion as it was recorded. Coefficients follow
     a part of it, and the residuals have the rest: this estimates the fault. Its error is by the
-    differences of stretches of the recording, so that what the model lacks counts as noise.
+    differences of stretches of the recording and of joints, the larger of both, so that what the
+    model lacks counts as noise.
 
     **Arguments**
 
@@ -269,6 +270,12 @@ def _estimates(
         value = float(np.sum(own * residual)) / information
         scores = own * (residual - value * own)
         of_stretches = np.add.reduceat(np.sum(scores, axis=1), edges[:-1])
-        error = float(np.sqrt(np.sum(of_stretches**2))) / information
+        # What the model lacks repeats with the motion, but is of another size at every joint: a
+        # jackknife over joints.
+        rest = information - np.sum(own**2, axis=0)
+        others = rest > _LEAST_LEFT * information
+        moved = -np.sum(scores, axis=0)[others] / rest[others]
+        between = (1.0 - 1.0 / scores.shape[1]) * float(np.sum(moved**2))
+        error = float(np.sqrt(max(float(np.sum(of_stretches**2)) / information**2, between)))
         estimates.append(Estimate(value, error))
     return changes, estimates

@@ -18,6 +18,8 @@ from jaxcslc.uncertainty import (
     possible_faults,
     possible_size,
 )
+from scripts.studies.checks.robots import Conditions, arm as arm_of, record
+from scripts.studies.checks.spoiler import clean_conditions
 
 
 QUANTILE = 1.959963984540054  # of a normal distribution, 95 %
@@ -175,3 +177,19 @@ def test_a_report_says_how_far_and_keeps_the_standard_error(
     report.save(f"{tmp_path}/results", pictures=False)
     loaded = jc.load_report(f"{tmp_path}/results")
     assert loaded.systematic.within == dict(report.systematic.within)
+
+
+@pytest.mark.parametrize(
+    ("conditions", "seed", "factor", "low", "high"),
+    [(clean_conditions(1014), 1014, 1.0, 0.0, 1.5), (Conditions(), 0, 1.05, 5.0, 10.0)],
+)
+def test_joints_that_disagree_show_no_clock(
+    conditions: Conditions, seed: int, factor: float, low: float, high: float
+) -> None:
+    """Friction that no model has differs from joint to joint; a wrong clock does not."""
+    recording = record("UR5", conditions, seed).recording
+    slow = dataclasses.replace(recording, time=factor * recording.time)
+    settings = jc.Settings()
+    report = jc.identify(arm_of("UR5").network, slow, settings=settings, possible="never")
+    size = float(report.systematic.within[CLOCK].split()[1])
+    assert low <= size <= high
