@@ -9,15 +9,14 @@ functions of JAX; `columns` also computes NumPy's arrays without compilation.
 
 Modules, in reading order:
 
-- `_derive`: `derive`, which chooses lengths and evaluator.
 - `_linear_network`: what any network that is linear in its coefficients offers.
-- `_cslc`: the network of one robot: M, V, G, friction, and its variants (payload, other laws).
+- `_cslc`: the network of one robot: M, V, G, friction, and its variants (payload, other laws);
+  `derive`, which chooses lengths and evaluator.
 - `_layout`: which entries of `k` belong to which term, and their values for known links.
 - `terms`: rigid body, friction, springs, coupled joints, payload.
 """
 
-from ._cslc import CSLC as CSLC
-from ._derive import derive as derive
+from ._cslc import CSLC as CSLC, derive as derive
 from ._layout import Layout as Layout
 from ._linear_network import AbstractLinearNetwork as AbstractLinearNetwork
 from .terms import (
