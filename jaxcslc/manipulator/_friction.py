@@ -63,7 +63,9 @@ def check_friction(terms: Sequence[str], where: str) -> None:
         raise RobotError(f"{where}: a friction term is listed twice")
     for first, second, why in _COLLINEAR:
         if first in terms and second in terms:
-            raise RobotError(f"{where}: friction terms {first} and {second} exclude: {why}")
+            raise RobotError(
+                f"{where}: friction terms {first} and {second} exclude each other: {why}"
+            )
 
 
 def check_slopes(slopes: Sequence[float], where: str) -> None:

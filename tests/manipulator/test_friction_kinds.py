@@ -54,18 +54,22 @@ def test_a_file_says_it_all(tmp_path: Path) -> None:
         ("[2, 3, -1.5]", "[2, 3, 0]", "coupled: expected a ratio other than 0, got 0"),
         ("[2, 3, -1.5]", '["2", 3]', "coupled: expected pairs of joints, as in"),
         ("static_slope = 4", "static_slope = 0", "joint 2, static_slope: expected a number above"),
-        ('"static"]', '"offset"]', "joint 2: friction terms offset and asymmetric_dry exclude:"),
+        (
+            '"static"]',
+            '"offset"]',
+            "joint 2: friction terms offset and asymmetric_dry exclude each other:",
+        ),
         ('"asymmetric_dry", "static"', '"dry"', "joint 2, static_slope: the joint has no static"),
         ('"asymmetric_dry", ', '"slip", ', "joint 2: unknown friction term 'slip'; expected some"),
         (
             '["viscous", "dry"]',
             '["viscous", "asymmetric_viscous"]',
-            "friction terms viscous and asymmetric_viscous exclude: asymmetric_viscous is viscous",
+            "friction terms viscous and asymmetric_viscous exclude each other: asymmetric_viscous",
         ),
         (
             '["viscous", "dry"]',
             '["asymmetric_dry", "dry"]',
-            "friction terms dry and asymmetric_dry exclude: asymmetric_dry is dry in either",
+            "friction terms dry and asymmetric_dry exclude each other: asymmetric_dry",
         ),
     ],
 )
