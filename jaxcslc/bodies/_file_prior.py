@@ -17,9 +17,9 @@ from ..least_squares import Identification, LeastSquares
 from ..manipulator import LinkParameters
 from ..network import CSLC
 from ..recordings import Patterns
-from ._body import ENTRIES, MASS, bodies_of, body_map, body_of_pseudo_inertia, pseudo_inertia
+from ._body import MASS, body_map, body_of_pseudo_inertia, pseudo_inertia
 from ._misfit import misfit_of
-from ._nearest_bodies import Confidence, balls, ends_of, in_units_of, prior_of
+from ._nearest_bodies import Confidence, balls, ends_of, prior_of
 from ._physical_parameters import body_names
 from ._prior import KnownRows, information_rows, with_knowledge
 
@@ -36,6 +36,9 @@ DECIDED = 0.5
 # A body may be spread by this part of the arm's reach further than the file says: centres of thin
 # links are not known better than those of others.
 _SPREAD = 0.1
+# Radii of gyration are known better than masses, by this factor: a wrong density changes mass and
+# inertia together.
+_SHAPE = 0.5
 # Deviations of a motor inertia that the file has, as part of it; and of one that it lacks, in
 # moments of inertia of what the joint carries.
 _MOTOR, _NO_MOTOR = 1.0, 3.0
@@ -64,16 +67,17 @@ _MASSLESS = 1e-3
 class FilePrior:
     """Inertial parameters of a robot's file as a normal distribution of coefficients.
 
-    Changes of a link are those of its pseudo-inertia in units of itself, as distances between
-    bodies count them (Lee, Wensing and Park 2020): a change of 0.2 is one of the mass by 20 %,
-    and of centre and inertia in proportion. Friction is not known by files.
+    Changes of a link are in units of itself. A change of 0.2 is one of all of it by 20 %, as by
+    another density. It is one of the centre in proportion to the radius of gyration, and one of
+    the shape by half as much. Friction is not known by files.
 
     **Attributes**
 
     - `mean`: (p,) coefficients that the file implies; 0 of friction.
-    - `links`: (n, p, 10) what ten independent changes of each link by the whole of it do.
+    - `changes`: (n, 10, 10) ten independent changes of each link, by the whole of it, as columns;
+      the first is the link itself.
+    - `links`: (n, p, 10) what these changes do.
     - `bodies`: links of the file, guessed where it has none.
-    - `sizes`: (n, 10) bodies that changes of links are measured by.
     - `motor_errors`: (n,) standard deviation of each motor inertia.
     - `motors`: (p, n) what one standard deviation of each motor inertia does.
     - `inertial`: (p,) true for coefficients that the file knows something of.
@@ -89,9 +93,9 @@ class FilePrior:
     """
 
     mean: Float[np.ndarray, " coefficients"]
+    changes: Float[np.ndarray, "links 10 10"]
     links: Float[np.ndarray, "links coefficients 10"]
     bodies: tuple[LinkParameters, ...]
-    sizes: Float[np.ndarray, "links 10"]
     motor_errors: Float[np.ndarray, " links"]
     motors: Float[np.ndarray, "coefficients links"]
     inertial: Bool[np.ndarray, " coefficients"]
@@ -128,10 +132,9 @@ class FilePrior:
         prior = prior_of(robot, links, lenders, np.zeros((len(links), 10)))
         of_bodies, of_motors = body_map(network.algebra)
         inertial, p = network.layout.inertial, network.size
-        changes = np.zeros((len(links), p, 10))
-        sizes = np.stack([_spread_out(body, spread) for body in prior.bodies])
-        for i, size in enumerate(sizes):
-            changes[i, inertial] = of_bodies[:, i] @ _changes(size)
+        changes = np.stack([_changes(body, spread) for body in prior.bodies])
+        of_changes = np.zeros((len(links), p, 10))
+        of_changes[:, inertial] = np.einsum("ple,lec->lpc", of_bodies, changes)
         mean, motors = np.zeros(p), np.zeros((p, len(links)))
         mean[inertial] = np.einsum("ple,le->p", of_bodies, prior.bodies) + of_motors @ prior.motors
         errors = _motor_errors(network, prior.bodies, prior.motors)
@@ -143,8 +146,8 @@ class FilePrior:
         return cls(
             mean,
             changes,
+            of_changes,
             tuple(links),
-            sizes,
             errors,
             motors,
             known,
@@ -174,8 +177,8 @@ class FilePrior:
     @property
     def confidence(self) -> Confidence:
         """Errors of the file's bodies, as the programme of nearest bodies has them."""
-        units = self.sizes * (self.widths / WIDTH)[:, None]
-        return Confidence(units, self.motor_errors, WIDTH, self.correlation)
+        changes = self.changes * (self.widths / WIDTH)[:, None, None]
+        return Confidence(changes, self.motor_errors, WIDTH, self.correlation)
 
     @property
     def covariance(self) -> Float[np.ndarray, "coefficients coefficients"]:
@@ -264,14 +267,8 @@ class FilePrior:
         change = np.asarray(with_knowledge(fit, {}, self.rows).k) - self.mean
         posterior = self._posterior(fit)
         # What scaling a link does, in independent changes of its width.
-        wholes = np.stack(
-            [
-                np.linalg.lstsq(_changes(size), body)[0] / width
-                for size, body, width in zip(
-                    self.sizes, bodies_of(self.bodies), self.widths, strict=True
-                )
-            ]
-        )
+        wholes = np.zeros((len(self.widths), 10))
+        wholes[:, 0] = 1.0 / self.widths
         single = np.eye(len(wholes))[:, :, None] * wholes
         factors: list[float] = []
         roots = self.links * self.widths[:, None, None]
@@ -457,22 +454,26 @@ def _compact(link: LinkParameters, limit: float) -> LinkParameters:
     return LinkParameters(mass, link.centre_of_gravity, smaller, link.motor_inertia)
 
 
-def _spread_out(body: Float[np.ndarray, "10"], spread: float) -> Float[np.ndarray, "10"]:
-    """Return a body whose squared radii of gyration are larger by that of `spread` [m]."""
+def _changes(body: Float[np.ndarray, "10"], spread: float) -> Float[np.ndarray, "10 10"]:
+    """Return ten independent changes of a body by the whole of it, as columns.
+
+    With J = L Lᵀ its pseudo-inertia, changes L E Lᵀ depend on neither units nor frames (Lee,
+    Wensing and Park 2020). The factor L separates the centre from the spread about it.
+
+    - `spread`: what the radius of gyration may be larger by [m].
+    """
     matrix = pseudo_inertia(body)
-    matrix[:3, :3] += body[MASS] * spread**2 * np.eye(3)
-    return body_of_pseudo_inertia(matrix)
-
-
-def _changes(body: Float[np.ndarray, "10"]) -> Float[np.ndarray, "10 10"]:
-    """Ten independent changes of a body by the whole of it, as columns."""
-    unit = in_units_of(body)
-    columns: list[np.ndarray] = []
+    mass, centre = matrix[3, 3], matrix[:3, 3] / matrix[3, 3]
+    about = matrix[:3, :3] - mass * np.outer(centre, centre) + mass * spread**2 * np.eye(3)
+    scale = np.sqrt(mass) * np.eye(4)
+    scale[:3, :3], scale[:3, 3] = np.linalg.cholesky(about), np.sqrt(mass) * centre
+    columns = [body]
     for a in range(4):
-        for b in range(a + 1):
+        for b in range(min(a + 1, 3)):
             entries = np.zeros((4, 4))
             entries[a, b] = entries[b, a] = 1.0 if a == b else np.sqrt(0.5)
-            columns.append(unit @ entries.reshape(ENTRIES))
+            change = body_of_pseudo_inertia(scale @ entries @ scale.T)
+            columns.append(change if a == 3 else _SHAPE * change)
     return np.stack(columns, axis=1)
 
 

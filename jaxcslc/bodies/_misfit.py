@@ -7,7 +7,6 @@ fitted one do: their errors are larger than the covariance of the fit says.
 
 import dataclasses
 from collections.abc import Iterator
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +22,7 @@ from ._prior import KnownRows, information_rows
 # recording the weight of a few samples.
 _OF_DATA = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 # Misfits of the prior, as factors of variances: its deviations are up to five times larger.
-_OF_PRIOR = (1.0, 6.25, 25.0)
+_OF_PRIOR = (6.25, 25.0)
 # Natural units of the mean score that misfit has to gain: less is chance.
 _GAIN = 0.1
 # Relative precisions and variances below this are rounding.
@@ -31,7 +30,7 @@ _SILENT = 1e-12
 
 
 class Misfit(NamedTuple):
-    """Factors of variances.
+    """Factors of variances, at most one of them larger than one.
 
     - `data`: of errors of the fit, beyond what its residuals show.
     - `prior`: of errors of the prior, beyond what it says.
@@ -56,7 +55,8 @@ def misfit_of(
     - `patterns`: that `fit` is of, or a part of them; `fit`: without the prior.
     - `prior`: of coefficients; its correlation is that of the data without misfit.
     """
-    choices = [Misfit(*factors) for factors in product(_OF_DATA, _OF_PRIOR)]
+    choices = [Misfit(data=factor) for factor in _OF_DATA]
+    choices += [Misfit(prior=factor) for factor in _OF_PRIOR]
     scores: list[list[float]] = []
     usual = np.asarray(fit.torque_error) ** 2
     for split in _splits(network, patterns, solver, fit):

@@ -454,13 +454,13 @@ def _origin(joint: Joint) -> Float[np.ndarray, "3"]:
 class Confidence(NamedTuple):
     """Errors of bodies that are a prior.
 
-    - `units`: (n, 10) bodies that changes of links are measured by.
+    - `changes`: (n, 10, 10) independent changes of each link, as columns.
     - `motors`: (n,) standard errors of motor inertias.
-    - `width`: standard error of a link, in units of its `units`.
+    - `width`: standard error of each change.
     - `correlation`: times that errors of a fit exceed those of independent samples, as variances.
     """
 
-    units: Float[np.ndarray, "links 10"]
+    changes: Float[np.ndarray, "links 10 10"]
     motors: Float[np.ndarray, " links"]
     width: float
     correlation: float
@@ -491,7 +491,8 @@ class NearestBodies:
     - `fixed`: bodies that are fixed to links and known.
     - `prior`: bodies to keep to where the data say nothing; `others`: the same of the others.
     - `bounded`: 1 for others that cannot be negative.
-    - `units`: bodies that changes are measured by.
+    - `changes`: independent changes of bodies, as columns; of the pseudo-inertia in units of the
+      prior if None.
     - `weight`: standard errors that a change of a body by its whole unit counts.
     - `known`: 1 for others that the prior knows: motor inertias of the robot's file. A motor
       inertia that it lacks is no measurement of zero, and counts by `WEAK` at most.
@@ -504,7 +505,7 @@ class NearestBodies:
     whitening: Float[np.ndarray, "rank coefficients"]
     fixed: Float[np.ndarray, "links 10"]
     prior: PriorBodies
-    units: Float[np.ndarray, "links 10"]
+    changes: Float[np.ndarray, "links 10 10"] | None
     body_columns: Float[np.ndarray, "coefficients links 10"]
     other_columns: Float[np.ndarray, "coefficients others"]
     others: Float[np.ndarray, " others"]
@@ -558,10 +559,9 @@ class NearestBodies:
             masses = [float(link.mass) for link in links if float(link.mass) > 0]
             ball = balls(robot, float(np.mean(masses or [1.0])))
             prior_bodies = prior_of(robot, links, ball, fixed_bodies)
-        units, known = prior_bodies.bodies, prior_bodies.motors > 0
-        white_scale = 1.0
+        known, white_scale = prior_bodies.motors > 0, 1.0
         if confidence is not None:
-            units, known = confidence.units, np.ones(robot.joint_count, bool)
+            known = np.ones(robot.joint_count, bool)
             weight, white_scale = 1.0 / confidence.width, confidence.correlation**-0.5
             prior_bodies = dataclasses.replace(
                 prior_bodies, motor_scales=confidence.motors / confidence.width
@@ -588,7 +588,7 @@ class NearestBodies:
             whitening=white_scale * whitening(fit, np.where(typical > 0, typical, 1.0)),
             fixed=fixed_bodies,
             prior=prior_bodies,
-            units=units,
+            changes=None if confidence is None else confidence.changes,
             body_columns=body_columns,
             other_columns=other_columns,
             others=np.concatenate([prior_bodies.motors[motor_mask], start]) / scales,
@@ -631,12 +631,10 @@ class NearestBodies:
 
     def _convex(self, least: float) -> Optimum | None:
         count = len(self.prior.bodies)
-        units = [in_units_of(body) for body in self.units]
-        start = [_in_units(unit, body) for unit, body in zip(units, self.prior.bodies, strict=True)]
+        units = [in_units_of(body) for body in self.prior.bodies]
         columns = [self.body_columns[:, i] @ unit for i, unit in enumerate(units)]
         matrix = self.whitening @ np.concatenate([*columns, self.other_columns], axis=1)
         of_fixed = np.einsum("ple,le->p", self.body_columns, self.fixed)
-        wanted = np.concatenate([*start, self.others])
         rows: list[np.ndarray] = []
         values: list[float] = []
         for i, (inertia, unit) in enumerate(zip(self.robot.inertia, units, strict=True)):
@@ -647,10 +645,10 @@ class NearestBodies:
                 rows.append(row / size)
                 values.append(float(-form @ self.fixed[i] / size))
         known = self._linear_knowledge(units)
-        weights = np.concatenate([np.full(ENTRIES * count, self.weight), self._other_weights])
+        prior, wanted = self._prior_rows(units)
         solution, converged = semidefinite_least_squares(
-            np.concatenate([matrix, np.diag(weights), known.soft]),
-            np.concatenate([self.whitening @ (self.k - of_fixed), weights * wanted, known.target]),
+            np.concatenate([matrix, prior, known.soft]),
+            np.concatenate([self.whitening @ (self.k - of_fixed), wanted, known.target]),
             np.concatenate([np.array(rows).reshape(-1, matrix.shape[1]), known.rows]),
             np.concatenate([np.array(values), known.values]),
             bodies=count,
@@ -664,6 +662,26 @@ class NearestBodies:
         in_units, others = np.split(solution, [ENTRIES * count])
         pairs = zip(units, in_units.reshape(count, ENTRIES), strict=True)
         return Optimum(np.stack([unit @ body for unit, body in pairs]), others, converged)
+
+    def _prior_rows(
+        self, units: Sequence[Float[np.ndarray, "10 16"]]
+    ) -> tuple[Float[np.ndarray, "rows unknowns"], Float[np.ndarray, " rows"]]:
+        """Return the prior as equations of the programme's unknowns, and their right-hand sides."""
+        from scipy.linalg import block_diag
+
+        pairs = list(zip(units, self.prior.bodies, strict=True))
+        if self.changes is None:
+            rows = [np.eye(ENTRIES)] * len(pairs)
+            wanted = [_in_units(unit, body) for unit, body in pairs]
+        else:
+            forms = np.linalg.inv(self.changes)
+            rows = [form @ unit for form, unit in zip(forms, units, strict=True)]
+            wanted = [form @ body for form, (_, body) in zip(forms, pairs, strict=True)]
+        others = self._other_weights
+        return (
+            block_diag(*(self.weight * row for row in rows), np.diag(others)),
+            np.concatenate([self.weight * np.concatenate(wanted), others * self.others]),
+        )
 
     def _linear_knowledge(self, units: Sequence[Float[np.ndarray, "10 16"]]) -> LinearKnowledge:
         """Return the knowledge of parameters in the programme's unknowns."""

@@ -7,7 +7,15 @@ import pytest
 from numpy.testing import assert_allclose
 
 import jaxcslc as jc
-from jaxcslc.bodies import FilePrior, bodies_of, body_map, with_knowledge
+from jaxcslc.bodies import (
+    FilePrior,
+    bodies_of,
+    body_map,
+    body_of_pseudo_inertia,
+    pseudo_inertia,
+    with_knowledge,
+)
+from jaxcslc.bodies._file_prior import _changes
 from jaxcslc.manipulator import LinkParameters
 from scripts.studies.file_prior.study import (
     NOISE,
@@ -73,6 +81,23 @@ class TestIdentity:
             span = prior.links[link][network.layout.inertial]
             part = np.linalg.lstsq(span, scaled)[0]
             assert_allclose(span @ part, scaled, atol=1e-12)
+
+    def test_changes_depend_on_no_frame(self, network: jc.CSLC) -> None:
+        """The covariance of a turned and shifted body is the covariance, turned and shifted."""
+        rng = np.random.default_rng(2)
+        pose = np.eye(4)
+        pose[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        pose[:3, 3] = rng.normal(size=3)
+        body = bodies_of(prior_of(network).bodies)[2]
+        there = body_of_pseudo_inertia(pose @ pseudo_inertia(body) @ pose.T)
+        covariances = []
+        for some, placed in ((body, pose), (there, np.eye(4))):
+            changes = [
+                body_of_pseudo_inertia(placed @ pseudo_inertia(column) @ placed.T)
+                for column in _changes(some, 0.1).T
+            ]
+            covariances.append(np.einsum("ca,cb->ab", changes, changes))
+        assert_allclose(covariances[0], covariances[1], atol=1e-9 * np.max(covariances[0]))
 
     def test_a_wide_prior_changes_nothing(self, network: jc.CSLC) -> None:
         fit = jc.LeastSquares().fit(network, patterns_of(network, "rich"))
