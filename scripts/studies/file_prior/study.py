@@ -141,6 +141,7 @@ def judged(arm: str, motion: str, file: str, seed: int) -> dict[str, Any]:
     with_file, without = fits[True], fits[False]
     weight = with_file.file_prior
     interval = np.stack([[row["low"], row["high"]] for row in with_file.rows()])[inertial]
+    noise = np.asarray(with_file.fit.confidence_interval())[inertial]
     share = weight.share[inertial]
     assert without.possible is not None
     unaided = np.asarray(without.possible.free.k)[inertial]
@@ -155,11 +156,13 @@ def judged(arm: str, motion: str, file: str, seed: int) -> dict[str, Any]:
         "file_error": error(stated),
         "torque": _rms(expected).tolist(),
         "inside": ((interval[:, 0] <= true) & (true <= interval[:, 1])).tolist(),
+        "inside_noise": ((noise[:, 0] <= true) & (true <= noise[:, 1])).tolist(),
         "share": share.tolist(),
         "change": (np.abs(informed - unaided) / np.where(spread > 0, spread, np.inf)).tolist(),
         "contradicted": list(weight.contradicted),
         "named": bool(weight.contradicted or weight.implausible),
         "width": weight.width,
+        "misfit": weight.misfit,
         "body_error": _body_errors(bodies.links, truth),
         "file_body_error": _body_errors(links, truth),
         "verdicts": [str(row["verdict"]) for row in with_file.rows()][: len(true)],
@@ -351,17 +354,16 @@ def _determined(rows: list[dict[str, Any]]) -> Iterator[str]:
     rich = [row for row in rows if row["motion"] == "rich" and row["file"] == "usual"]
     if not rich:
         return
-    pairs = [
-        (change, inside)
-        for row in rich
-        for change, share, inside in zip(row["change"], row["share"], row["inside"], strict=True)
-        if share < 0.1
+    names = ("change", "inside", "inside_noise")
+    told = [
+        np.array([row[name] for name in names])[:, np.array(row["share"]) < 0.1] for row in rich
     ]
-    changes, inside = np.array(pairs).T
+    changes, inside, inside_noise = np.concatenate(told, axis=1)
     yield (
-        f"rich motion, {len(pairs)} coefficients of which the file is less than 10 %: change by the"
-        f" file, median {np.median(changes):.3f}, 95 % {np.quantile(changes, 0.95):.3f} standard"
-        f" errors; inside their intervals {100 * np.mean(inside):.1f} %"
+        f"rich motion, {len(changes)} coefficients of which the file is less than 10 %: change by"
+        f" the file, median {np.median(changes):.3f}, 95 % {np.quantile(changes, 0.95):.3f}"
+        f" standard errors; inside their intervals {100 * np.mean(inside):.1f} %, and"
+        f" {100 * np.mean(inside_noise):.1f} % of those without allowances for faults"
     )
 
 
