@@ -1,5 +1,6 @@
 """Limits of joints, and surroundings that bodies keep away from, as TOML files state them."""
 
+import contextlib
 import dataclasses
 import importlib.util
 import math
@@ -321,7 +322,11 @@ def _unwatchable(robot: Manipulator) -> str:
 
 
 def _is_length(value: Any) -> bool:
-    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
+    if not isinstance(value, int | float | np.number):
+        return False
+    with contextlib.suppress(OverflowError):  # an integer that no float holds
+        return math.isfinite(float(value))
+    return False
 
 
 def _is_pair_of_names(value: Any) -> bool:

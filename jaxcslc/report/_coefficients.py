@@ -341,8 +341,12 @@ def compared_with_value(error: float, value: float) -> str:
 
     >>> compared_with_value(0.12, 1.0), compared_with_value(1.4, 1.0)
     ('12 % of the value', '1.4 times the value')
+    >>> compared_with_value(float("nan"), 1.0)
+    'not known'
     """
     part = error / abs(value) if value else np.inf
+    if np.isnan(part):  # of an older fit whose file has no number
+        return "not known"
     if part > _FAR:
         return f"{error:.2g} for a value of {value:.2g}"
     return f"{100 * part:.2g} % of the value" if part < 0.995 else f"{part:.2g} times the value"

@@ -227,6 +227,7 @@ def test_lengths_without_values_are_said_to_be_unwatched() -> None:
         ("workspace = [[0, 0], [1, 1]]", "surroundings, workspace: expected 3 and 3 numbers in m"),
         ("boxes = [[[0, 0, 0], [1, 1]]]", "surroundings, boxes: expected 3 and 3 numbers in m"),
         ("boxes = [[[0, 0, 'x'], [1, 1, 1]]]", "surroundings, boxes: expected 3 and 3 numbers"),
+        (f"boxes = [[[0, 0, 1{'0' * 400}], [1, 1, 1]]]", "surroundings, boxes: expected 3 and 3"),
         ("boxes = [[[0, 0, nan], [1, 1, 1]]]", "surroundings, boxes: expected 3 and 3 numbers"),
         ("spheres = [[[0, 0, 0], [1, 2]]]", "surroundings, spheres: expected 3 and 1 numbers in m"),
     ],

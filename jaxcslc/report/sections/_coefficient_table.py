@@ -88,7 +88,7 @@ class CoefficientSection(AbstractSection):
         yield Message(
             f"{well} of {counted(len(rows), 'coefficient')} well determined"
             + (f"; {others}." if others else ".")
-            + _scale_statement(report.systematic),
+            + _scale_statement(getattr(report, "systematic", None)),
             # What is zero on the arm cannot be known to a tenth of itself.
             "caution" if kinds["not determined"] or well <= doubtful else "good",
         )
