@@ -147,7 +147,8 @@ def test_files_that_say_too_little_are_refused(folder: Path) -> None:
 
 def test_columns_are_guessed_by_words() -> None:
     names = ["t", "elbow.q", "base.q", "elbow.amps", "base.amps", "elbow.target_q", "base.target_q"]
-    mapping = guessed_mapping(names, ("base", "elbow"))
+    joints = ("base", "elbow")
+    mapping = guessed_mapping(names, joints)
     assert mapping is not None
     assert mapping["joints"] == ["base", "elbow"]
     assert mapping["position"] == {"columns": ["base.q", "elbow.q"]}
@@ -160,6 +161,12 @@ def test_columns_are_guessed_by_words() -> None:
     plain = guessed_mapping(["time", "joint_1", "joint_1_temp", "tau_1"], ())
     assert plain is not None and plain["position"] == {"columns": ["joint_1"]}
     assert guessed_mapping(["time", "pos_1", "pos_2"], ()) is None
+    short = guessed_mapping(["t", "base_pos", "elbow_pos", "base_eff", "elbow_eff"], joints)
+    assert short is not None
+    assert short["torque"] == {"columns": ["base_eff", "elbow_eff"]}
+    bare = guessed_mapping(["t", "base", "elbow", "base_torque", "elbow_torque"], joints)
+    assert bare is not None and bare["joints"] == list(joints)
+    assert bare["position"] == {"columns": ["base", "elbow"]}
 
 
 class TestProject:

@@ -72,7 +72,8 @@ def first_fault(
                     if np.isfinite(values[row])
                     else "a finite number"
                 )
-                fault = Fault(row, name, f"{values[row]} where {expected} was expected")
+                remedy = "; leave such rows out, or interpolate" if np.isnan(values[row]) else ""
+                fault = Fault(row, name, f"{values[row]} where {expected} was expected{remedy}")
 
     earlier, first = (time[:-1], 1) if before is None else (np.append(before["time"], time[:-1]), 0)
     with np.errstate(invalid="ignore"):

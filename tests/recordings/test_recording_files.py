@@ -205,7 +205,11 @@ def test_wrong_columns(tmp_path: Path, header: str, expected: str, suffix: str) 
         pytest.param("NULL", "'NULL'; expected a number", id="null"),
         pytest.param("1_000", "'1_000'; expected a number", id="underscore"),
         pytest.param("0x10", "'0x10'; expected a number", id="hexadecimal"),
-        pytest.param("nan", "nan where a finite number was expected", id="nan"),
+        pytest.param(
+            "nan",
+            "nan where a finite number was expected; leave such rows out, or interpolate",
+            id="nan",
+        ),
         pytest.param("-inf", "-inf where a finite number was expected", id="inf"),
     ],
 )
@@ -306,7 +310,8 @@ def test_parquet_columns_of_text_and_missing_values(tmp_path: Path) -> None:
     assert message(path) == "row 3, column torque_1: an empty cell; expected a number"
     nans = pa.array([0.0, 1.0, 2.0, np.nan, 4.0, 5.0])
     pq.write_table(pa.Table.from_arrays([numbers, numbers, nans], names=names), path)
-    assert message(path) == "row 4, column torque_1: nan where a finite number was expected"
+    where = "row 4, column torque_1: nan where a finite number was expected"
+    assert message(path) == f"{where}; leave such rows out, or interpolate"
 
 
 def test_another_number_of_joints(tmp_path: Path) -> None:

@@ -399,7 +399,7 @@ def _check_keys(table: Mapping[str, Any], allowed: set[str], where: str) -> None
 _WORDS = {
     "velocity": {"velocity", "vel", "speed", "qd", "dq", "qdot", "omega"},
     "acceleration": {"acceleration", "acc", "accel", "qdd", "ddq"},
-    "torque": {"torque", "trq", "tau", "effort", "moment"},
+    "torque": {"torque", "trq", "tau", "effort", "eff", "moment"},
     "current": {"current", "cur", "curr", "amps", "amp"},
     "position": {"position", "pos", "q", "angle", "theta", "encoder", "enc"},
 }
@@ -438,7 +438,7 @@ def guessed_mapping(names: Sequence[str], joints: Sequence[str]) -> dict[str, An
     for template, columns in _groups(names, joints).items():
         words = _words(template)
         kind = next((kind for kind, known in _WORDS.items() if words & known), None)
-        if kind is None and words and words <= _JOINT:
+        if kind is None and words <= _JOINT and (words or template == "{joint}"):
             kind = "position"
         if kind is None or words & _COMMANDED or len(columns) <= len(groups.get(kind, [])):
             continue

@@ -242,7 +242,7 @@ def _named_layout(
     layout = ColumnLayout(
         times[0].with_factor(file), quantities, header.joint_names or names, hint=hint
     )
-    unread = [name for name in header.names if name not in layout.names]
+    unread = [name or "one without a name" for name in header.names if name not in layout.names]
     more = f" and {len(unread) - 8} more" if len(unread) > 8 else ""
     note = (f"columns that are not read: {', '.join(unread[:8])}{more}",) if unread else ()
     return dataclasses.replace(layout, notes=(*header.notes, *note))
@@ -291,7 +291,10 @@ def _own_layout(file: str, names: Sequence[str]) -> ColumnLayout:
     if _commands(unknown) and not numbers["torque"]:
         raise RecordingError(f"{file}: no torque, {SERVO_HINT}")
     if unknown:
-        raise wrong(f"unknown column {listed(unknown, 4)}")
+        raise RecordingError(
+            f"{wrong(f'unknown column {listed(unknown, 4)}')}; jaxcslc init ROBOT LOG writes one"
+            " where names tell"
+        )
     if "time" not in names:
         raise wrong("missing column time")
     for quantity in REQUIRED:
