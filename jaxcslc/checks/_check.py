@@ -239,9 +239,16 @@ def _check_one(
         evidence = Evidence.of(network, mended, valid)
     except ValueError as error:  # too short for its smoothing, or nothing moves
         findings.append(finding("motion", str(error)))
-    else:
+    if evidence is not None and (shortage := evidence.shortage):
+        findings.append(finding("motion", shortage))
+        evidence = None
+    if evidence is not None:
         found, evidence, excitation = motion_findings(evidence)
-        findings += found
+        # No robot explains a torque that was not recorded.
+        unrecorded = {one.joint for one in findings if one.kind == "constant torque"}
+        findings += [
+            one for one in found if one.kind != "wrong robot" or one.joint not in unrecorded
+        ]
     return findings, RecordingSummary.of(network, recording, name, excitation), evidence
 
 

@@ -126,6 +126,9 @@ _MOST_SAMPLES = 40_000
 # As many rows share one compiled regressor.
 _MOST_ROWS = 4096
 _FOLDS = 5
+# Fewer torques per coefficient than these fit any hypothesis: half a second of clean motion was
+# called wrong.
+_EQUATIONS = 4
 # After so many periods of its cut-off, a thousandth is left of what a filter has seen.
 _FADED = 3.0
 # What noise may be of the accelerations' root mean square.
@@ -209,6 +212,18 @@ class Evidence:
             recording.time[inside],
             np.asarray(patterns.torque),
             cutoff,
+        )
+
+    @property
+    def shortage(self) -> str:
+        """Why these are too few samples to judge hypotheses by; empty if they are enough."""
+        equations = int(np.asarray(self.patterns.mask).sum())
+        if equations >= (expected := _EQUATIONS * self.network.size):
+            return ""
+        return (
+            f"{self.recording.samples} samples in {float(np.ptp(self.recording.time)):.3g} s have"
+            f" {equations} independent torques of moving joints; expected {expected} or more, for"
+            f" {self.network.size} coefficients"
         )
 
     @cached_property

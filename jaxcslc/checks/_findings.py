@@ -47,6 +47,7 @@ SPOILING_KINDS = (
     *("time unit", "angle unit", "torque unit", "sign", "swapped joints", "wrong robot"),
     *("torque scale", "zero position", "position scale", "mounting", "gravity compensation"),
     *("clock", "tool change", "contact", "unsigned torque", "wrapped angle", "stop"),
+    "constant torque",
 )
 """Kinds of findings that hide all others: no model explains the torque."""
 
@@ -103,7 +104,10 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
             "locked joints, a gripper that stood still, or columns of something else",
             "--fix {listed} if the joints are not to be identified; else move them",
         ),
-        "constant torque": ("its torque was not recorded", "record the torque of every joint"),
+        "constant torque": (
+            "the torque of {joint} was not recorded",
+            "record the torque of every joint",
+        ),
         "clipping": (
             "the drive or the recorder limits the torque there: the motion had another one",
             "record a slower motion; --loss bisquare disregards what does not fit",

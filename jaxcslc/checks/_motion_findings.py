@@ -5,7 +5,9 @@ see `_evidence`; recordings are compared with the first by its coefficients.
 """
 
 import dataclasses
+import json
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -165,7 +167,7 @@ def _hypotheses(
             both,
             what="positions and torques",
             pair=pair,
-            order=_toml(np.array(names)[order]),
+            order=_renamed(names, order.tolist()),
         )
         yield _Hypothesis(swapped, (first, second), Change(order, order))
         for what, change in (("position", Change(order)), ("torque", Change(None, order))):
@@ -194,8 +196,23 @@ _LEAST_DEGREES = 5.0
 
 def _toml(values: np.ndarray) -> str:
     """Return an array of TOML."""
-    items = values.tolist()
-    return f"[{', '.join(f'{x:g}' if isinstance(x, float) else f'{x!r}' for x in items)}]"
+    return f"[{', '.join(f'{x:g}' for x in values.tolist())}]"
+
+
+def _renamed(names: Sequence[str], order: Sequence[int]) -> str:
+    """Return a table of TOML: robot's joint = the recording's joint, in the recording's order.
+
+    The order serves a recording that numbers its joints, the names one that names them.
+    """
+    pairs = (
+        f"{_key(names[own])} = {json.dumps(name)}" for own, name in zip(order, names, strict=True)
+    )
+    return f"{{{', '.join(pairs)}}}"
+
+
+def _key(name: str) -> str:
+    """Return a key of TOML, in quotes where it has to be."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
 
 
 def _causes_in_columns(evidence: Evidence, score: float) -> list[Cause]:

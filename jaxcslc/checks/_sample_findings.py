@@ -104,6 +104,8 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
 
 # Part of rows, or of a joint's samples, from which on something is said.
 _STALE, _REPEATED, _CLIPPED, _OUTLYING = 2e-3, 0.3, 5e-3, 5e-5
+# However few, outliers that hold this part of a joint's variance are named.
+_WEIGHTY = 0.05
 _MOTIONLESS = 3.0  # counts
 _FIXED = 0.01  # rad or m that a joint may move by that is taken as fixed
 
@@ -145,7 +147,7 @@ def sample_findings(
         )
     for joint in np.flatnonzero(constant & ~still).tolist():
         torque = f"every torque is {recording.torque[0, joint]:.4g}"
-        yield finding("constant torque", torque, names[joint])
+        yield finding("constant torque", torque, names[joint], joint=names[joint])
     clipped = clipping(recording.torque)
     for joint in np.flatnonzero(clipped.mean(axis=0) > _CLIPPED).tolist():
         cut = clipped[:, joint]
@@ -191,9 +193,12 @@ class Outliers:
     def findings(self, recording: Recording, names: Sequence[str]) -> Iterator[Finding]:
         """Return a finding for each quantity with outliers, of all joints together."""
         for quantity, hit in self.marked.items():
-            if hit.mean() <= _OUTLYING:
+            values = getattr(recording, quantity)
+            distance = np.abs(values - self.medians[quantity])
+            outlying = np.where(hit, distance**2, 0.0).sum(axis=0)
+            weighty = outlying > _WEIGHTY * np.var(values, axis=0) * len(values)
+            if hit.mean() <= _OUTLYING and not weighty.any():
                 continue
-            distance = np.abs(getattr(recording, quantity) - self.medians[quantity])
             yield finding(
                 f"outliers: {quantity}",
                 f"{int(hit.sum())} {quantity} values ({100 * hit.mean():.2g} %) lie up to"

@@ -163,8 +163,14 @@ class Scoring:
         samples = len(mask)
         most = samples // (2 * _FEWEST)
         if not 2 <= folds <= most:
+            if most < 2:
+                raise ValueError(
+                    f"the recording is too short: {samples} samples are left after smoothing;"
+                    f" expected {4 * _FEWEST} or more to choose settings, and several seconds of"
+                    " motion of all joints"
+                )
             raise ValueError(
-                f"{folds} folds of {samples} samples; expected 2 or more (folds, --folds), of at"
+                f"{folds} folds of {samples} samples; expected 2 to {most} (folds, --folds), of at"
                 f" least {2 * _FEWEST} samples each"
             )
         length = -(-samples // folds)

@@ -414,3 +414,80 @@ def test_one_wrong_time_stamp_takes_no_memory(arm: jc.CSLC, clean: jc.Recording)
     start, end = (float(x) for x in re.findall(r"--between (\S+),(\S+) ", findings[0].remedy)[0])
     assert start <= epoch[1] < epoch[-1] - 1e-3 < end
     assert peak < 1e8
+
+
+@pytest.mark.parametrize("samples", [30, 100, 150])
+def test_too_few_samples_are_called_that_and_nothing_else(
+    arm: jc.CSLC, clean: jc.Recording, samples: int
+) -> None:
+    findings = jc.check(arm, clean.rows(slice(samples))).findings
+    assert [finding.kind for finding in findings] == ["motion"]
+    assert "too short" in findings[0].cause
+
+
+def test_one_absurd_torque_is_named_however_long_the_recording(
+    arm: jc.CSLC, clean: jc.Recording
+) -> None:
+    torque = np.array(clean.torque)
+    rows = slice(2000, 2001)
+    torque[rows, 1] = 1e5
+    twice = changed(
+        clean,
+        time=INTERVAL * np.arange(2 * SAMPLES),
+        position=np.concatenate([clean.position, clean.position[::-1]]),
+        torque=np.concatenate([torque, clean.torque[::-1]]),
+    )
+    found = list(Outliers.of(twice).findings(twice, arm.output_names))
+    assert [(one.kind, one.joint) for one in found] == [("outliers", "joint 2")]
+    mended = changed(twice, torque=np.concatenate([clean.torque, clean.torque[::-1]]))
+    assert not list(Outliers.of(mended).findings(mended, arm.output_names))
+
+
+def test_a_torque_that_was_not_recorded_is_no_other_robot(
+    arm: jc.CSLC, clean: jc.Recording
+) -> None:
+    findings = jc.check(arm, with_column(clean, "torque", 2, 0.0)).findings
+    assert (findings[0].kind, findings[0].joint) == ("constant torque", "joint 3")
+    assert findings[0].cause == "the torque of joint 3 was not recorded"
+    assert not [one for one in findings if one.kind == "wrong robot"]
+
+
+NAMED_ARM = """[links]
+motor_inertia = false
+[[joint]]
+name = "waist"
+d = 0.3
+[[joint]]
+name = "arm"
+alpha = "-pi/2"
+a = 0.1
+[[joint]]
+name = "fore arm"
+a = 0.4
+"""
+
+
+@pytest.mark.parametrize("header", ["names", "numbers"])
+def test_the_remedy_of_swapped_joints_mends_them(
+    clean: jc.Recording, header: str, tmp_path: Path
+) -> None:
+    """Whether the log names its joints, or numbers them."""
+    file = tmp_path / "arm.toml"
+    file.write_text(NAMED_ARM)
+    robot = jc.load_robot(file)
+    names = robot.joint_names
+    order = [0, 2, 1]
+    columns = names if header == "names" else ("1", "2", "3")
+    stems = ("q_", "tau_") if header == "names" else ("position_", "torque_")
+    titles = ["time", *(stem + name for stem in stems for name in columns)]
+    table = np.c_[clean.time, clean.position[:, order], clean.torque[:, order]]
+    log = tmp_path / "log.csv"
+    np.savetxt(log, table, delimiter=",", header=",".join(titles), comments="")
+    network = jc.derive(robot, lengths="numeric")
+    swap = jc.check(network, jc.load_recording(log, robot.joint_names)).findings[0]
+    assert swap.kind == "swapped joints"
+    mapping = tmp_path / "mapping.toml"
+    mapping.write_text(swap.remedy.removesuffix(" in the mapping of --columns"))
+    mended = jc.load_recording(log, robot.joint_names, columns=mapping)
+    np.testing.assert_allclose(mended.torque, clean.torque)
+    np.testing.assert_allclose(mended.position, clean.position)
