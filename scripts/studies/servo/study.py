@@ -1,9 +1,9 @@
 """Are servo drives found from commands and positions alone, with intervals that hold?
 
-Arms of position servos (`arms.py`: five joints like an SO-101, and seven) are simulated in MuJoCo
-by equations that are not those of `jaxcslc.servo`. Encoders have 12 bits and read at 50 Hz. Gears
-have 1 degree of play. Servos have a dead zone and a delay of 20 to 60 ms. Friction is static,
-Coulomb and load-dependent. Every parameter is drawn anew for each seed and joint.
+Arms of position servos (`arms.py`: five joints like an SO-101 or a Koch, and seven) are simulated
+in MuJoCo by equations that are not those of `jaxcslc.servo`. Encoders have 12 bits and read at
+50 Hz. Gears have 1 degree of play. Servos have a dead zone and a delay of 20 to 60 ms. Friction is
+static, Coulomb and load-dependent. Every parameter is drawn anew for each seed and joint.
 
 An arm records twice: once without and once with a known payload. The file's masses are 10 % too
 large, which the fit does not know. The fit is judged by
@@ -40,6 +40,7 @@ from scripts.studies.rows import Rows, made_of
 from scripts.studies.servo import legs
 from scripts.studies.servo.arms import (
     LINKS,
+    PAYLOADS,
     Servos,
     new_command,
     recorded,
@@ -54,9 +55,8 @@ JUDGED = ("gain", "damping", "delay", "offset", "armature", "coulomb")
 LEG_PARAMETERS = ("armature", "coulomb", "viscous")
 LEGS_DURATION = 20.0  # s
 MASSES = 1.1  # of the file, over the true ones
-PAYLOAD = 0.2  # kg
 # An arm of five joints, 60 s without and 60 s with payload: seconds on two cores.
-SECONDS = {"so101": 150.0, "seven": 300.0}
+SECONDS = {"so101": 150.0, "koch": 150.0, "seven": 300.0}
 
 
 def row_of(name: str, seed: int, duration: float) -> dict[str, Any]:
@@ -64,13 +64,13 @@ def row_of(name: str, seed: int, duration: float) -> dict[str, Any]:
     links = LINKS[name]
     joints = len(links)
     rng = np.random.default_rng([seed, joints])
-    servos = Servos.drawn(joints, rng)
+    servos = Servos.drawn(joints, rng, name)
     commands = [training_command(joints, duration, rng) for _ in range(2)]
-    carried = (0.0, PAYLOAD)
+    carried = (0.0, PAYLOADS[name])
     recordings = [recorded(links, servos, x, y) for x, y in zip(commands, carried, strict=True)]
     arm = robot(links, MASSES)
     assert arm.links is not None
-    point = LinkParameters(PAYLOAD, arm.links[-1].centre_of_gravity, 1e-8 * np.eye(3))
+    point = LinkParameters(PAYLOADS[name], arm.links[-1].centre_of_gravity, 1e-8 * np.eye(3))
     fit = identify_servo(arm, recordings, payloads=[None, point], estimated=NAMES)
     motion = new_command(joints, 0.5 * duration, rng)
     truth = recorded(links, servos, motion, tick=0.0)
