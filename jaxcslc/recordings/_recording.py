@@ -382,13 +382,13 @@ def fresh_rows(recording: Recording, every: int) -> Recording:
     **Arguments**
 
     - `recording`: as recorded.
-    - `every`: rows for each new one, 1 or more.
+    - `every`: rows for each new one, from 1 to all.
 
     **Returns** the recording of these rows.
 
     **Raises**
 
-    - `ValueError`: less than 1.
+    - `ValueError`: less than 1, or more than there are.
     - `RecordingError`: too few samples are left.
 
     >>> import numpy as np
@@ -398,8 +398,8 @@ def fresh_rows(recording: Recording, every: int) -> Recording:
     >>> fresh_rows(recording, 3).position[:4, 0].tolist()
     [1.0, 2.0, 3.0, 4.0]
     """
-    if every < 1:
-        raise ValueError(f"every is {every}; expected 1 or more rows")
+    if not 1 <= every <= recording.samples:
+        raise ValueError(f"every is {every}; expected 1 to {recording.samples} rows")
     changes = np.any(np.diff(recording.position, axis=0) != 0.0, axis=1)
     counts = [int(changes[start::every].sum()) for start in range(every)]
     return recording.rows(slice((int(np.argmax(counts)) + 1) % every, None, every))

@@ -131,8 +131,10 @@ def test_fresh_rows_are_those_with_new_positions(start: int) -> None:
     rows = fresh_rows(recording, 3)
     first = np.flatnonzero(np.diff(position[:, 0]))[0] + 1
     np.testing.assert_array_equal(rows.torque[:, 0], np.arange(first % 3, len(position), 3))
-    with pytest.raises(ValueError, match="every is 0; expected 1 or more"):
+    with pytest.raises(ValueError, match="every is 0; expected 1 to"):
         fresh_rows(recording, 0)
+    with pytest.raises(ValueError, match="expected 1 to"):  # refused before any row is looked at
+        fresh_rows(recording, 10**26)
 
 
 def test_between_keeps_both_ends() -> None:
