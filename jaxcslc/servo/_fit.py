@@ -67,13 +67,11 @@ _LIKE_GAINS = 0.35
 _COARSE_STEP, _DERIVATIVE_STEP = 4.0 * LONGEST_STEP, 2.0 * LONGEST_STEP
 # Iterations: of the first and second search for each joint alone, and of that for all together.
 _COARSE, _AGAIN, _TOGETHER = 20, 6, 25
-_DAMPINGS = (1e-3, 1e-1, 1.0, 10.0)  # of Levenberg and Marquardt, tried one after the other
-# Part of the cost; position errors change by half of it. Where a step promises less, the search
-# ends. Where it gains less, differences take smaller steps.
-_LITTLE = 1e-3
+_DAMPINGS = (1e-3, 1e-1, 1.0)  # of Levenberg and Marquardt, tried one after the other
+_LITTLE = 1e-2  # part of the cost; less of a gain ends the search
 # Steps of differences, of those in `UNKNOWNS`: halved where the search ends, for friction makes the
 # cost rough; smaller ones are rounding.
-_LEAST_SHRINK = 0.1
+_LEAST_SHRINK = 0.2
 _START_NOISE = 0.005  # rad, of residuals, before the first search
 _START_CORRELATION = 50.0  # samples that carry the information of one, likewise
 _SMOOTHING = 0.12  # s, window of the cubic polynomials that give accelerations of other joints
@@ -293,17 +291,6 @@ def _start_velocity(recording: ServoRecording) -> Float[np.ndarray, " joints"]:
     return np.where(np.ptp(first, axis=0) > ticks, slopes, 0.0)
 
 
-@dataclass(frozen=True)
-class _Trial:
-    """Unknowns that are tried, and the scale of the masses; cost of each joint, and of all."""
-
-    unknowns: list[np.ndarray]
-    masses: float
-    simulated: list[np.ndarray]
-    costs: Float[np.ndarray, " joints"]
-    cost: float
-
-
 @dataclass
 class _Search:
     """State of the search for all joints' drives."""
@@ -520,44 +507,30 @@ class _Search:
         self.problems = [
             dataclasses.replace(problem, longest_step=_DERIVATIVE_STEP) for problem in self.problems
         ]
-        now = self._tried(self.unknowns, self.masses, mass_error)
+        simulated = self._simulated(self.unknowns, self.masses)
         for _ in range(_TOGETHER):
-            self._take_motions(now.simulated)
-            misfits = self._misfits(now.simulated)
+            self._take_motions(simulated)
+            misfits = self._misfits(simulated)
             self._take_weights(misfits)
-            now = self._judged(now.unknowns, now.masses, now.simulated, mass_error)
+            before = self._cost(self.unknowns, self.masses, misfits, mass_error)
             low = np.concatenate(
-                [problem.low - x for problem, x in zip(self.problems, now.unknowns, strict=True)]
+                [problem.low - x for problem, x in zip(self.problems, self.unknowns, strict=True)]
             )
             stack = self.stack(misfits, mass_error)
-            steps = [stack.step(np.append(low, -np.inf), damping) for damping in _DAMPINGS]
-            if -float(stack.gradient @ steps[0]) < _LITTLE * now.cost:
-                break
-            tried = [now]
-            for step in steps:
-                moved = self._moved(step)
-                tried.append(self._tried(*moved, mass_error))
-                if tried[-1].cost < now.cost:
+            cost = before
+            for damping in _DAMPINGS:
+                unknowns, masses = self._moved(stack.step(np.append(low, -np.inf), damping))
+                trial = self._simulated(unknowns, masses)
+                cost = self._cost(unknowns, masses, self._misfits(trial), mass_error)
+                if cost < before:
+                    self.unknowns, self.masses, simulated = unknowns, masses, trial
                     break
-            best = min(tried, key=lambda trial: trial.cost)
-            # A joint that follows no step, as without load in a gear with play, must not hold up
-            # the others: each takes the trial that suits it.
-            choice = np.argmin([trial.costs for trial in tried], axis=0)
-            if np.ptp(choice) > 0:
-                mixed = [tried[k].unknowns[i] for i, k in enumerate(choice.tolist())]
-                best = min(
-                    best,
-                    self._tried(mixed, best.masses, mass_error),
-                    key=lambda trial: trial.cost,
-                )
-            self.unknowns, self.masses = best.unknowns, best.masses
-            if best.cost > (1.0 - _LITTLE) * now.cost:
+            if cost > (1.0 - _LITTLE) * before:
                 self.shrink *= 0.5
-            now = best
             if self.shrink < _LEAST_SHRINK:
                 break
-        self._take_motions(now.simulated)
-        self.misfits = self._misfits(now.simulated)
+        self._take_motions(simulated)
+        self.misfits = self._misfits(simulated)
         self._take_weights(self.misfits)
 
     def stack(self, misfits: Sequence[np.ndarray], mass_error: float) -> Stack:
@@ -585,28 +558,20 @@ class _Search:
         masses = self.masses * math.exp(float(step[-1])) if self.is_absolute else self.masses
         return unknowns, masses
 
-    def _tried(self, unknowns: list[np.ndarray], masses: float, mass_error: float) -> "_Trial":
-        return self._judged(unknowns, masses, self._simulated(unknowns, masses), mass_error)
-
-    def _judged(
+    def _cost(
         self,
-        unknowns: list[np.ndarray],
+        unknowns: Sequence[np.ndarray],
         masses: float,
-        simulated: list[np.ndarray],
+        misfits: Sequence[np.ndarray],
         mass_error: float,
-    ) -> "_Trial":
-        misfits = self._misfits(simulated)
-        triples = zip(self.problems, unknowns, misfits, strict=True)
-        costs = np.array(
-            [
-                problem.weight * float(misfit @ misfit) + float(np.sum(problem.prior(x[None]) ** 2))
-                for problem, x, misfit in triples
-            ]
-        )
-        cost = float(np.sum(costs))
+    ) -> float:
+        costs = [
+            problem.weight * float(misfit @ misfit) + float(np.sum(problem.prior(x[None]) ** 2))
+            for problem, x, misfit in zip(self.problems, unknowns, misfits, strict=True)
+        ]
         if self.is_absolute and mass_error > 0.0:
-            cost += (math.log(masses) / mass_error) ** 2
-        return _Trial(unknowns, masses, simulated, costs, cost)
+            costs.append((math.log(masses) / mass_error) ** 2)
+        return sum(costs)
 
     @property
     def is_absolute(self) -> bool:
