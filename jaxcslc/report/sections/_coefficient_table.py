@@ -127,15 +127,15 @@ class CoefficientSection(AbstractSection):
 
 
 def _scale_statement(systematic: SystematicError | None) -> str:
-    """Return a sentence on a common factor of all torques, if only a tolerance bounds it.
+    """Return a sentence on an error of the torque scale, if only a tolerance bounds it.
 
     >>> _scale_statement(SystematicError({}, {"torque scale shown": "± 40 %"}))
-    " The robot's file shows a common factor of all torques to ± 40 % only."
+    ' An error of the torque scale of up to ± 40 % cannot be excluded.'
     """
     shown = "" if systematic is None else systematic.within.get(SHOWN_SCALE, "")
     if shown == "nothing":
-        return " Nothing but the tolerance bounds a common factor of all torques."
-    return f" The robot's file shows a common factor of all torques to {shown} only." * bool(shown)
+        return " An error of the torque scale cannot be excluded."
+    return f" An error of the torque scale of up to {shown} cannot be excluded." * bool(shown)
 
 
 class SystematicSection(AbstractSection):

@@ -67,7 +67,7 @@ def test_a_case_is_named() -> None:
 
 
 def test_main_at_toy_size(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--seeds", "1", "--arms", "so101", "--duration", "8", "-o", str(tmp_path)]
+    options = ["--seeds", "1", "--arms", "so101", "--duration", "5", "-o", str(tmp_path)]
     assert main(options) == 0
     out = capsys.readouterr().out
     assert "coverage" in out
