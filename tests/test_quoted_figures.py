@@ -97,7 +97,7 @@ QUOTES = (
     ),
     Quote(
         "docs/likelihood_evidence.md",
-        "takes {} s on two quiet cores in a later run, {} s of processor time",
+        "takes {} s on two cores in a later run, {} s of processor time",
         (
             "benchmark likelihood.3300_samples.later_run : min",
             "benchmark likelihood.3300_samples.later_run.processor : min",
