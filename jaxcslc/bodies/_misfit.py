@@ -23,7 +23,7 @@ from ._prior import KnownRows, information_rows
 _OF_DATA = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 # Misfits of the prior, as factors of variances: its deviations are up to five times larger.
 _OF_PRIOR = (6.25, 25.0)
-# Natural units of the mean score that misfit has to gain: less is chance.
+# Natural units of the mean score that misfit has to gain, which is 5 % of an error. (Heuristic.)
 _GAIN = 0.1
 # Relative precisions and variances below this are rounding.
 _SILENT = 1e-12
@@ -94,7 +94,7 @@ class _Split(NamedTuple):
     """Motion that is judged, and the fit of other motion.
 
     - `near`: the fit; `far`: factors of the judged equations.
-    - `residual`: mean square errors of these under the fit of all.
+    - `residual`: mean square errors of the judged equations under the fit of all.
     """
 
     near: FoldFit

@@ -126,8 +126,8 @@ _MOST_SAMPLES = 40_000
 # As many rows share one compiled regressor.
 _MOST_ROWS = 4096
 _FOLDS = 5
-# Fewer torques per coefficient than these fit any hypothesis: half a second of clean motion was
-# called wrong.
+# Fewer torques per coefficient fit any hypothesis: half a second of clean motion was called wrong.
+# (Heuristic, of one simulated arm's short logs.)
 _EQUATIONS = 4
 # After so many periods of its cut-off, a thousandth is left of what a filter has seen.
 _FADED = 3.0
@@ -216,7 +216,7 @@ class Evidence:
 
     @property
     def shortage(self) -> str:
-        """Why these are too few samples to judge hypotheses by; empty if they are enough."""
+        """Return why the samples are too few to judge hypotheses by; empty if they are enough."""
         equations = int(np.asarray(self.patterns.mask).sum())
         if equations >= (expected := _EQUATIONS * self.network.size):
             return ""

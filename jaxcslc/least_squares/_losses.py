@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._environment import array_namespace
+from ..recordings import NORMAL_MEDIAN
 from ._columns import traced
 from ._errors import Rows
 from ._factors import JointFactors
@@ -28,8 +29,6 @@ LOSSES: tuple[str, ...] = get_args(Loss)
 # least squares (Holland and Welsch 1977).
 _HUBER = 1.345
 _BISQUARE = 4.685
-# A normal variable's median absolute value, in standard deviations.
-_MEDIAN = 0.6744897501960817
 
 
 def influence(loss: Loss, u: Float[Numbers, "..."]) -> Float[Numbers, "..."]:
@@ -83,7 +82,7 @@ def robust_scale(
     low, high = xp.maximum(number - 1, 0) // 2, number // 2
     joints = np.arange(error.shape[1])
     middle = 0.5 * (modulus[low, joints] + modulus[xp.minimum(high, len(modulus) - 1), joints])
-    return xp.where(number > 0, middle, 0.0) / _MEDIAN
+    return xp.where(number > 0, middle, 0.0) / NORMAL_MEDIAN
 
 
 # Coefficients that change by less than this part of themselves have converged. Huber's rounds take

@@ -597,7 +597,7 @@ def derive(
 
     - `RobotError`: if a length that is to be a number has no value, a name is no length, or
       there are more than 40 joints.
-    - `ValueError`: if `lengths` or `evaluator` is none of these, or for a recursive evaluator
+    - `ValueError`: if `lengths` or `evaluator` is unknown, or for a recursive evaluator
       with symbolic lengths.
 
     >>> import jaxcslc as jc

@@ -17,7 +17,8 @@ _REGULAR = 0.01
 _ORDER = 6  # of the differences that noise is seen in
 _BINOMIAL = np.poly(np.ones(_ORDER))  # of even intervals
 _THIRD = np.poly(np.ones(3))  # the same of third differences
-NORMAL_MEDIAN = 0.6745  # absolute value of a normal variable, in standard deviations
+# Median of a normal variable's absolute value, in standard deviations.
+NORMAL_MEDIAN = 0.6744897501960817
 # Third differences that see more than so many times as much as sixth ones have seen motion.
 _MOTION = 1.5
 

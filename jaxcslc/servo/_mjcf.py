@@ -277,7 +277,7 @@ def _expressible(
 
     Static friction is friction that falls with velocity: a larger Coulomb friction and less damping
     come near it. The search is that of Gauss and Newton for each joint, with the changes of all
-    joints in one replay: coupling between joints hardly changes what suits one best.
+    joints in one replay: coupling between joints changes little of what suits one best.
     """
     largest = np.array([d.static + d.gain * d.dead_zone for d in drives])
     loaded = np.array([d.load_friction for d in drives])

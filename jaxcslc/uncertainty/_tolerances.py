@@ -23,7 +23,7 @@ TORQUE_SCALE, CLOCK, ZEROS = "torque scale", "clock", "zero positions"
 TOLERATED = (TORQUE_SCALE, CLOCK, ZEROS)
 """Causes of systematic errors that are faults within tolerances, shared by recordings of an arm."""
 SHOWN_SCALE = "torque scale shown"
-"""What is stated where neither data nor the robot's file exclude a large factor of the torques."""
+"""Entry of `PossibleFaults.within`: the torque scale that neither data nor the file exclude."""
 
 
 class Tolerance(NamedTuple):

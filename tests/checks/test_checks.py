@@ -471,7 +471,7 @@ a = 0.4
 def test_the_remedy_of_swapped_joints_mends_them(
     clean: jc.Recording, header: str, tmp_path: Path
 ) -> None:
-    """Whether the log names its joints, or numbers them."""
+    """Return whether the log names its joints."""
     file = tmp_path / "arm.toml"
     file.write_text(NAMED_ARM)
     robot = jc.load_robot(file)

@@ -132,10 +132,11 @@ def _scale_statement(systematic: SystematicError | None) -> str:
     >>> _scale_statement(SystematicError({}, {"torque scale shown": "± 40 %"}))
     ' An error of the torque scale of up to ± 40 % cannot be excluded.'
     """
-    shown = "" if systematic is None else systematic.within.get(SHOWN_SCALE, "")
-    if shown == "nothing":
-        return " An error of the torque scale cannot be excluded."
-    return f" An error of the torque scale of up to {shown} cannot be excluded." * bool(shown)
+    shown = None if systematic is None else systematic.within.get(SHOWN_SCALE)
+    if shown is None:
+        return ""
+    size = "" if shown == "nothing" else f" of up to {shown}"
+    return f" An error of the torque scale{size} cannot be excluded."
 
 
 class SystematicSection(AbstractSection):

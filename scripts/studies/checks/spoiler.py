@@ -148,7 +148,7 @@ def _identified(network: jc.CSLC, case: Spoilt) -> jc.Report | None:
 def _confident(
     network: jc.CSLC, report: jc.Report | None, truth: np.ndarray
 ) -> tuple[int, int, int]:
-    """Return how many coefficients are well determined, and how many of these are wrong.
+    """Return how many coefficients are well determined, and how many of them are wrong.
 
     The latter twice: as they are, and apart from a factor of all torques that the report says to be
     possible.

@@ -29,7 +29,7 @@ the latter.
   friction terms of the robot's file, without and with torque offsets of all joints. Examples of
   Pinocchio do this. FIGAROH 1.0.2 does, too: its coefficients are those of the OLS rows to ten
   digits. The pipeline is also judged on its own motion, and with friction at rest by the sign of
-  measured velocity. The best of these four errors counts.
+  measured velocity. The best of the four errors counts.
 - **ridge to the file**: weighted least squares with offsets and a ridge towards the masses of the
   robot's file. The ridge's width is 20 % of a mass. It was found on this arm, the LWR4+. Only its
   file has masses.

@@ -19,9 +19,10 @@ from jaxcslc.servo import ServoRecording
 
 
 TICK = 2.0 * np.pi / 4096
-# Positions then are within 0.04 mrad of those of a step of half the length, but for joints that no
-# load holds on a flank of their gear. Steps of 0.5 ms err by 0.15 mrad, a third of the encoder's
-# rounding, which falsifies what is taken as true: offsets, plays and dampings by several errors.
+# Positions then are within 0.04 mrad of those of a step of half the length, except for joints
+# that no load holds on a flank of their gear. Steps of 0.5 ms err by 0.15 mrad, a
+# third of the encoder's rounding, which falsifies what is taken as true: offsets, plays and
+# dampings by several errors.
 STEP = 0.0002  # s
 RATE = 50.0  # Hz
 AT_REST = 1.0  # s
