@@ -56,7 +56,7 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         # Times.
         "time unit": (
             "time is in {unit}{counter}",
-            '[time] unit = "{symbol}" in the mapping of --columns',
+            '[time] unit = "{symbol}" in a mapping file (--columns)',
         ),
         "rate: changes": (
             "the recorder changed its rate, or two recordings were joined",
@@ -139,23 +139,23 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         # Columns.
         "sign": (
             "the {what} of {joint} counts the other way round than the robot file has it",
-            "{entries} in the mapping of --columns",
+            "{entries} in a mapping file (--columns)",
         ),
         "sign: of all joints": (
             "the {what} of all joints counts the other way round than the robot file has it",
-            "{entries} in the mapping of --columns",
+            "{entries} in a mapping file (--columns)",
         ),
         "swapped joints": (
             "the {what} of {pair} are swapped",
-            "joints = {order} in the mapping of --columns",
+            "joints = {order} in a mapping file (--columns)",
         ),
         "swapped joints: of one quantity": (
             "the {what}s of {pair} are swapped",
-            "[{what}] columns in the robot's order, in the mapping of --columns",
+            "[{what}] columns in the robot's order, in a mapping file (--columns)",
         ),
         "angle unit": (
             "positions are in degrees",
-            '[position] unit = "deg" in the mapping of --columns',
+            '[position] unit = "deg" in a mapping file (--columns)',
         ),
         "angle unit: of one joint": (
             "the position of {joint} is in degrees",
@@ -163,11 +163,11 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         ),
         "torque unit: scale": (
             "torques are in mN m",
-            '[torque] unit = "mN m" in the mapping of --columns',
+            '[torque] unit = "mN m" in a mapping file (--columns)',
         ),
         "torque unit: currents": (
             "the columns of torques are motor currents, or torques before the gears",
-            '[torque] unit = "A", constant = [...], gear = [...] in the mapping of --columns',
+            '[torque] unit = "A", constant = [...], gear = [...] in a mapping file (--columns)',
         ),
         "torque lag": (
             "a filter or a delay between the two measurements",
@@ -196,7 +196,7 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         "torque scale: of some joints": (
             "torque constants or gear ratios of some joints are others than the recorder took:"
             " {listed}",
-            "[torque] unit, constant and gear in the mapping of --columns",
+            "[torque] unit, constant and gear in a mapping file (--columns)",
         ),
         "torque scale": (
             "the scale of the torques (torque constants, gear ratios), or the masses in the robot's"

@@ -33,6 +33,8 @@ _ORANGE, _BLUE = COLOURS[:2]
 _TOP, _BOTTOM, _LEFT, _RIGHT, _GAP, _TITLE = 64, 46, 58, 12, 34, 22
 # Labels of 10 pixels each, beside the highest matrix.
 _MOST_LABELS = 50
+# Sides of a body's centre at which its number stands, in turn: neighbours' numbers differ.
+_SIDES = ("middle right", "middle left", "bottom center", "top right")
 # Angles of an ellipsoid's mesh.
 _AROUND, _UP = 25, 13
 # Of a view of a film [pixels].
@@ -360,12 +362,21 @@ class ArmChart(AbstractChart):
 
     def plotly_figure(self) -> dict[str, Any]:
         scene: dict[str, Any] = {
-            f"{name}axis": {"title": {"text": f"{name} [m]"}, "tickfont": _FONT | {"size": 10}}
+            f"{name}axis": {
+                "title": {"text": f"{name} [m]", "font": {"size": 12}},
+                "tickfont": {"size": 11},
+            }
             for name in "xyz"
         }
         for axis in scene.values():
             axis |= {"backgroundcolor": "#ffffff", "gridcolor": _GRID, "nticks": 5}
-        scene |= {"aspectmode": "data", "camera": {"eye": {"x": 1.2, "y": 1.2, "z": 0.5}}}
+        points = [self.lines.reshape(-1, 3).T]
+        points += [body.surface().reshape(3, -1) for body in self.bodies]
+        sides = np.maximum(np.ptp(np.concatenate(points, axis=1), axis=1), 1e-9)
+        sides /= np.max(sides)  # the longest side is 1: the camera then sees all of it
+        scene["aspectmode"] = "manual"
+        scene["aspectratio"] = dict(zip("xyz", sides.tolist(), strict=True))
+        scene["camera"] = {"eye": {"x": 1.15, "y": 1.15, "z": 0.45}}
         # A gap after each line.
         path = np.pad(self.lines, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan).reshape(-1, 3)
         data: list[dict[str, Any]] = [
@@ -391,22 +402,25 @@ class ArmChart(AbstractChart):
                     "showscale": False,
                     "opacity": 0.25,
                     "hoverinfo": "name",
+                    "legendgroup": str(i),
                 }
             )
-        if self.bodies:  # names at the bodies: there are more of them than colours
-            centres = np.array([body.centre for body in self.bodies])
+            # Names overlap where bodies are close: a number at the body, the name in the legend.
             data.append(
                 {
                     "type": "scatter3d",
-                    "mode": "text",
-                    "text": [escape(body.name) for body in self.bodies],
-                    **{name: rounded(row, 4) for name, row in zip("xyz", centres.T, strict=True)},
-                    "textfont": _FONT | {"size": 12},
-                    "hoverinfo": "skip",
-                    "showlegend": False,
+                    "name": f"{i + 1} {escape(body.name)}",
+                    "mode": "markers+text",
+                    "text": [str(i + 1)],
+                    "textposition": _SIDES[i % len(_SIDES)],
+                    **{name: rounded([x], 4) for name, x in zip("xyz", body.centre, strict=True)},
+                    "marker": {"color": colour, "size": 5},
+                    "hoverinfo": "name",
+                    "legendgroup": str(i),
                 }
             )
-        return {"data": data, "layout": self._layout(10, 10, 0, 0, scene=scene)}
+        legend = {"orientation": "h", "x": 0, "xanchor": "left", "y": 1, "yanchor": "bottom"}
+        return {"data": data, "layout": self._layout(40, 10, 40, 0, scene=scene, legend=legend)}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -487,7 +487,7 @@ def test_the_remedy_of_swapped_joints_mends_them(
     swap = jc.check(network, jc.load_recording(log, robot.joint_names)).findings[0]
     assert swap.kind == "swapped joints"
     mapping = tmp_path / "mapping.toml"
-    mapping.write_text(swap.remedy.removesuffix(" in the mapping of --columns"))
+    mapping.write_text(swap.remedy.removesuffix(" in a mapping file (--columns)"))
     mended = jc.load_recording(log, robot.joint_names, columns=mapping)
     np.testing.assert_allclose(mended.torque, clean.torque)
     np.testing.assert_allclose(mended.position, clean.position)

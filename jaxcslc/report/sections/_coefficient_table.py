@@ -111,13 +111,14 @@ class CoefficientSection(AbstractSection):
             "Coefficients",
             "Low and high are the ends of the 95 % confidence interval, for"
             f" {fit.errors} errors with {float(fit.degrees_of_freedom):.0f} degrees of freedom."
-            " The standard error is what noise causes, and falls with more data. The systematic"
-            " error is how far smoothing, torque timing or missing terms may shift the value, and a"
-            " factor of the torques, a clock and zero positions within their tolerances; more data"
-            " of this motion do not reduce it. Well determined: the standard error is at most"
-            " 10 % of the value, the systematic error at most 5 %. Verdict 'systematic error': the"
-            " first holds, the second does not; the reason names the main cause. A poorly"
-            " determined coefficient has little effect on the torque of this motion.",
+            " The interval contains two errors. Noise causes the standard error, which falls with"
+            " more data. Smoothing, torque timing, missing terms, and errors of torque scale, clock"
+            " and zero positions within tolerances cause the systematic error. More data of this"
+            " motion do not reduce it. A coefficient is well determined if its standard error is at"
+            " most 10 % of the value, and its systematic error at most 5 %. If only the systematic"
+            " error is larger, the verdict is 'systematic error', and the reason names the main"
+            " cause. A poorly determined coefficient has little effect on the torque of this"
+            " motion.",
             [
                 *([Messages(undetermined)] if undetermined else []),
                 *([] if legend is None else [Paragraph(f"{legend}.")]),

@@ -129,8 +129,9 @@ def front_page(
     tool = arm.report.page()
     lines = [*tool.summary, *(Message(f"{x[0].upper()}{x[1:]}.", "good") for x in arm.sentences)]
     names = {column: name for column, name, _ in MODELS}
-    columns = [Column("coefficients", numeric=False), Column("PUMA A", digits=3)]
-    columns += [Column("PUMA B", digits=3), Column("thesis, PUMA A"), Column("thesis, PUMA B")]
+    machines = ("PUMA A", "PUMA B", "thesis, PUMA A", "thesis, PUMA B")
+    columns = [Column("coefficients", numeric=False)]
+    columns += [Column(machine, decimals=3) for machine in machines]
     errors = [{row[""]: row for row in tables[f"errors_{letter}"][1]} for letter in "ab"]
     shown = [name for name in names if name in errors[0]["mean ε"]]
     rows = tuple(
@@ -255,12 +256,12 @@ def _verdict(tables: Mapping[str, tuple[str, Rows]]) -> tuple[Tone, str, tuple[M
     if all(better):
         return (
             "good",
-            "Identified coefficients predict torques better than measured ones, on both machines.",
+            "Identified coefficients predict torques better than published ones, on both machines.",
             tuple(messages),
         )
     return (
         "caution",
-        "Identified coefficients do not predict torques better than measured ones everywhere.",
+        "Identified coefficients do not predict torques better than published ones everywhere.",
         tuple(messages),
     )
 
