@@ -17,12 +17,14 @@ MOST_FOR_EVERYONE = 9
 
 
 def usage_error(*words: str) -> str:
-    """The one line that a wrong command line ends in, without the hint at its end."""
+    """The one line that a wrong command line ends in, without the help and page at its end."""
     result = run(*words)
     assert result.exit_code == 2 and result.stdout == ""
     (line,) = result.stderr.strip().splitlines()
     text, _, hint = line.partition(" (")
-    assert hint.startswith("jaxcslc") and hint.endswith("--help)")
+    help_words, _, page = hint.removesuffix(")").partition("; ")
+    assert help_words.startswith("jaxcslc") and help_words.endswith("--help")
+    assert (ROOT / page).is_file()
     return text.removeprefix("jaxcslc: ")
 
 

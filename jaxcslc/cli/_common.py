@@ -53,7 +53,8 @@ _OF_EQUINOX = re.compile(r"^.*EquinoxRuntimeError: | -{9,}.*$")
 def one_line_errors(name: str = "", page: str = "command") -> Generator[list[int]]:
     """Print errors that a user can correct as one line on standard error, for exit code 2.
 
-    The line ends with the page that explains it: of the package that found the error, or `page`.
+    The line ends with the page that explains it: of the package that found the error, or `page`. A
+    wrong option names the command's help as well.
 
     **Returns** a list that holds the exit code of such an error.
     """
@@ -68,8 +69,10 @@ def one_line_errors(name: str = "", page: str = "command") -> Generator[list[int
             raise
         message = " ".join(str(error).split()) or type(error).__name__
         message = _OF_EQUINOX.sub("", message)
-        if isinstance(error, UsageError):
-            where = " ".join(["jaxcslc", *([name] if name else []), "--help"])
+        if isinstance(error, UsageError):  # the help, and the page that has all options
+            where = " ".join(
+                ["jaxcslc", *([name] if name else []), f"--help; {page_address('command')}"]
+            )
         else:
             where = page_address(_page_of(error.__traceback__) or page)
         with contextlib.suppress(OSError):  # nobody reads it
