@@ -21,7 +21,7 @@ from ..instruments import HorizonError, file_coefficients, prediction_error
 from ..least_squares import LeastSquares, Previous, Settings, computed_on_host
 from ..likelihood import MaximumLikelihood
 from ..network import CSLC, DIRECTIONAL_LOAD, LOAD
-from ..recordings import Patterns, Recording
+from ..recordings import Patterns, Recording, without_repetition
 from ..report import Report, compare, degree_of_excitation, fit_warnings
 from ..selection import (
     FRICTION_CANDIDATES,
@@ -568,11 +568,9 @@ def _one_message_each(data_check: DataCheck, several: SeveralFit) -> tuple[DataC
 def _by_name(
     training: Recording | Sequence[Recording] | Mapping[str, Recording],
 ) -> Mapping[str, Recording]:
-    """Recordings by name, or by number from 1."""
+    """Recordings by name, or by number from 1, without rows that repeat earlier ones."""
     if isinstance(training, Recording):
-        return {TRAINING: training}
-    if isinstance(training, Mapping):
-        named = dict(training)
-    else:
-        named = {f"recording {i}": recording for i, recording in enumerate(training, start=1)}
-    return named
+        training = {TRAINING: training}
+    if not isinstance(training, Mapping):
+        training = {f"recording {i}": recording for i, recording in enumerate(training, start=1)}
+    return {name: without_repetition(recording) for name, recording in training.items()}

@@ -62,6 +62,7 @@ from ._recording import (
     check_samples as check_samples,
     fresh_rows as fresh_rows,
     stale_rows as stale_rows,
+    without_repetition as without_repetition,
     without_stale_rows as without_stale_rows,
 )
 from ._sampling import (
@@ -161,6 +162,7 @@ __all__ = [
     "static_fractions",
     "uniform_interval",
     "without_motion_at_rest",
+    "without_repetition",
     "without_rounding",
     "without_stale_rows",
     "zero_phase",

@@ -414,9 +414,65 @@ def stale_rows(recording: Recording) -> Bool[np.ndarray, " samples"]:
     >>> stale_rows(Recording(np.arange(5) * 0.01, position, position)).tolist()
     [False, False, True, False, False]
     """
-    parts = (recording.position, recording.torque, recording.velocity, recording.acceleration)
-    values = np.concatenate([part for part in parts if part is not None], axis=1)
+    values = _values(recording)
     return np.append(False, np.all(values[1:] == values[:-1], axis=1))
+
+
+# A stretch of as many equal rows is no chance: even where every second row equals the one a period
+# before, a million stretches have one.
+_REPEATED_ROWS = 20
+
+
+def without_repetition(recording: Recording) -> Recording:
+    """Leave out stretches of twenty rows or more that repeat earlier rows, one after the other.
+
+    Logs that were put together twice, buffers that are sent again and loops of a simulation have
+    them. Noise that repeats does not average out, so that they tell nothing new. (Motion that
+    repeats has other noise each time, and stays.) The rows that follow move up in time.
+
+    **Arguments**
+
+    - `recording`: as recorded.
+
+    **Returns** the recording itself, or one with fewer rows and a note.
+
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import Recording, without_repetition
+    >>> second = np.sin(np.arange(50.0))[:, None]
+    >>> again = Recording(0.02 * np.arange(150), np.tile(second, (3, 1)), np.tile(second, (3, 1)))
+    >>> shorter = without_repetition(again)
+    >>> shorter.samples, shorter.notes
+    (50, ('100 of 150 rows repeat earlier ones, all values and in the same order: left out',))
+    """
+    values = _values(recording)
+    # Hashes of rows: sums of their bits by odd factors, modulo 2^64.
+    factors = np.random.default_rng(0).integers(2**63, size=values.shape[1], dtype=np.uint64)
+    hashes = (values.view(np.uint64) * (2 * factors + 1)).sum(axis=1)
+    _, first, number = np.unique(hashes, return_index=True, return_inverse=True)
+    lag = np.arange(len(values)) - first[number]
+    starts = np.flatnonzero(np.diff(lag, prepend=-1) != 0)
+    lengths = np.diff(starts, append=len(lag))
+    repeats = np.repeat((lag[starts] > 0) & (lengths >= _REPEATED_ROWS), lengths)
+    repeats &= np.all(values == values[first[number]], axis=1)
+    count = int(np.sum(repeats))
+    if count == 0:
+        return recording
+    intervals = np.diff(recording.time, prepend=recording.time[0])
+    # A stretch that follows another begins a usual interval after it.
+    intervals[np.diff(repeats, prepend=False)] = np.median(intervals)
+    kept = recording.rows(~repeats)
+    note = (
+        f"{count} of {len(values)} rows repeat earlier ones, all values and in the same order: left"
+        " out"
+    )
+    time = recording.time[0] + np.cumsum(np.where(repeats, 0.0, intervals))[~repeats]
+    return dataclasses.replace(kept, time=time, notes=(*kept.notes, note))
+
+
+def _values(recording: Recording) -> Float[np.ndarray, "samples columns"]:
+    """Return all columns but the time."""
+    parts = (recording.position, recording.torque, recording.velocity, recording.acceleration)
+    return np.concatenate([part for part in parts if part is not None], axis=1)
 
 
 def as_float(name: str, values: ArrayLike, dimensions: int) -> np.ndarray:

@@ -302,10 +302,6 @@ def _drift(
     )
 
 
-# Rounds of weighting each joint of each recording by its residual: two change no weight by 1 %.
-_ROUNDS = 2
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class SeveralFit:
     """Joint fit of several recordings.
@@ -316,7 +312,7 @@ class SeveralFit:
     - `fit`: of all of them.
     - `patterns`: by recording, less its torque offsets.
     - `offsets`: by recording, (n,) constant torques that were fitted along; zero if not asked for.
-    - `noise`: by recording, (n,) RMS residual, by which its equations are weighted.
+    - `noise`: by recording, (n,) RMS residual under the common fit.
     - `alone`: by recording, the fit of it by itself.
     - `without`: by recording, the fit of the others.
     - `agreement`: of the recordings.
@@ -403,8 +399,9 @@ def fit_recordings(
 ) -> SeveralFit:
     """Fits several recordings of one robot together, and tests whether they agree.
 
-    Equations of each joint of each recording are weighted by their own noise: the RMS residual of
-    the fit before, starting with equal ones. Recordings need not be of the same length or rate.
+    Equations of each joint of each recording are weighted by its noise: the RMS residual of the fit
+    of that recording by itself. What a recording leaves beyond that in the common fit is
+    disagreement, not noise. Recordings need not be of the same length or rate.
 
     **Arguments**
 
@@ -443,13 +440,10 @@ def fit_recordings(
     samples = {name: len(values.time) for name, values in patterns.items()}
     names = list(patterns)
     fitted = partial(_fitted, solver, equations, samples)
-    weights = {name: np.ones(network.joint_count) for name in names}
+    alone = {name: fitted({name: np.ones(network.joint_count)}, [name]) for name in names}
+    weights = _weights(equations, alone)
     fit = fitted(weights, names)
-    for _ in range(_ROUNDS):
-        weights = _weights({name: equations[name] for name in names}, fit)
-        fit = fitted(weights, names)
     noise = {name: equations[name].rms(fit) for name in names}
-    alone = {name: fitted(weights, [name]) for name in names}
     others: dict[str, Identification] = {}
     for name in names:
         remaining = [other for other in names if other != name]
@@ -495,15 +489,17 @@ def _fitted(
 
 
 def _weights(
-    equations: Mapping[str, RecordingEquations], fit: Identification
+    equations: Mapping[str, RecordingEquations], alone: Mapping[str, Identification]
 ) -> dict[str, Float[np.ndarray, " joints"]]:
     """Return weights per joint and recording: RMS of the noise of all over that of its own.
 
-    A recording's own noise is its RMS residual, and no less than what a fit can hide of what is
-    usual of that joint in all recordings (`hidden_noise`). So a joint that barely moves in one
-    recording, where few equations follow any torque, has no more weight there than elsewhere.
+    A recording's own noise is its RMS residual under its own fit. A recording at a wrong rate
+    leaves much there; under a fit of all, it would draw the fit to itself, and those that are right
+    would seem noisy. The noise is no less than what a fit can hide of what is usual of that joint
+    in all recordings (`hidden_noise`). So a joint that barely moves in one recording, where few
+    equations follow any torque, has no more weight there than elsewhere.
     """
-    noise = {name: some.rms(fit) for name, some in equations.items()}
+    noise = {name: some.rms(alone[name]) for name, some in equations.items()}
     pooled = np.sqrt(np.mean([size**2 for size in noise.values()], axis=0))
     floors = hidden_noise(
         np.array(list(noise.values())).T,

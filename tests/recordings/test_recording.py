@@ -11,6 +11,7 @@ from jaxcslc.recordings import (
     fresh_rows,
     restore_clock,
     stale_rows,
+    without_repetition,
     without_stale_rows,
 )
 
@@ -190,3 +191,33 @@ def test_a_clock_that_is_not_there(rng: np.random.Generator) -> None:
         restore_clock(Recording(time, position, position), period=0.0)
     with pytest.raises(ValueError, match=r"period is 1e-300 s; expected more than 3e-09 s"):
         restore_clock(Recording(time, position, position), period=1e-300)
+
+
+def sampled(values: np.ndarray) -> Recording:
+    return Recording(0.01 * np.arange(len(values)), values, values**2)
+
+
+def test_stretches_that_repeat_are_left_out_and_time_closes(rng: np.random.Generator) -> None:
+    first, second = rng.standard_normal((2, 100, 2))
+    again = without_repetition(sampled(np.concatenate([first, first, second, first[30:60]])))
+    np.testing.assert_array_equal(again.position, np.concatenate([first, second]))
+    np.testing.assert_allclose(again.time, 0.01 * np.arange(200), atol=1e-12)
+    assert again.notes == (
+        "130 of 330 rows repeat earlier ones, all values and in the same order: left out",
+    )
+
+
+@pytest.mark.parametrize("kind", ["new noise", "single rows", "at rest", "one column differs"])
+def test_what_only_looks_like_repetition_stays(kind: str, rng: np.random.Generator) -> None:
+    second = np.sin(np.arange(100.0))[:, None] * [1.0, 2.0]
+    values = np.concatenate([second, second])
+    if kind == "new noise":
+        values += 1e-12 * rng.standard_normal(values.shape)
+    elif kind == "single rows":  # held by a slow source, or equal by chance
+        values = np.repeat(rng.integers(3, size=(100, 2)).astype(float), 10, axis=0)
+    elif kind == "at rest":
+        values = np.concatenate([second, np.zeros((100, 2)), second + 1.0, np.zeros((100, 2))])
+    else:
+        values[100:, 1] += 1.0
+    recording = sampled(values)
+    assert without_repetition(recording) is recording

@@ -84,7 +84,7 @@ def test_the_fit_is_least_squares_weighted_by_noise(
     noise = [several.noise[name] for name in patterns]
     np.testing.assert_allclose(noise, [[0.01] * 2, [0.1] * 2], rtol=0.15)
     expected = stacked(network, patterns, [1.0 / size for size in noise], offsets=offsets)
-    # The fit's weights are those of the round before: they differ by less than a percent.
+    # The fit's weights are of fits of each recording by itself: they differ by a percent or two.
     error = np.asarray(several.fit.standard_error)
     assert np.max(np.abs(np.asarray(several.fit.k) - expected[: network.size]) / error) < 0.05
     if offsets:
@@ -96,6 +96,28 @@ def test_the_fit_is_least_squares_weighted_by_noise(
             np.asarray(p.torque) - s for p, s in zip(patterns.values(), shifts, strict=True)
         ]
         np.testing.assert_allclose(left, expected_left, atol=0.03)
+
+
+def test_disagreement_is_no_noise(
+    network: jc.CSLC, motions: list[jc.Patterns], rng: np.random.Generator
+) -> None:
+    """The second recording is noisier, and of an arm with twice the friction and inertia."""
+    patterns = noisy(motions, rng, 0.01, 0.1)
+    name = "recording 1"
+    patterns[name] = with_torque(patterns[name], np.asarray(motions[1].torque))
+    several = fit_recordings(network, patterns, SOLVER)
+    right = motions[0]
+    errors = [
+        np.asarray(network.torque(k, right.q, right.qd, right.qdd)) - np.asarray(right.torque)
+        for k in (
+            several.fit.k,
+            stacked(network, patterns, [np.full(2, 1.0 / x) for x in (0.01, 0.1)], offsets=False),
+            stacked(network, patterns, [np.ones(2), np.ones(2)], offsets=False),
+        )
+    ]
+    of_fit, of_known_noise, of_equal_weights = (float(np.std(error)) for error in errors)
+    assert of_fit < 1.2 * of_known_noise
+    assert of_fit < 0.1 * of_equal_weights
 
 
 def test_recordings_of_one_robot_agree(
@@ -195,13 +217,15 @@ class TestIdentify:
             assert report.settings.solver.loss == "huber"
             assert report.settings.preparation.torque_lag == 0.001
 
-    def test_memory_is_shared(self, network: jc.CSLC, motions: list[jc.Patterns]) -> None:
+    def test_memory_is_shared(
+        self, network: jc.CSLC, motions: list[jc.Patterns], rng: np.random.Generator
+    ) -> None:
         """Of recordings too long for it parts are used, which the report names."""
         whole = self.recording(motions[0])
         repeated = jc.Recording(
             0.01 * np.arange(12 * whole.samples),
             np.tile(whole.position, (12, 1)),
-            np.tile(whole.torque, (12, 1)),
+            np.tile(whole.torque, (12, 1)) + 1e-9 * rng.standard_normal((12 * whole.samples, 2)),
         )
         report = jc.identify(
             network,
