@@ -48,7 +48,7 @@ def test_it_needs_the_package_alone_and_has_something_to_try(path: Path) -> None
     """Except that of the thesis's experiment, which needs the simulator."""
     notebook = read(path)
     words = "".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
-    assert 'pip install "jaxcslc[all]"' in words and "**Try**" in words
+    assert 'pip install ".[all]"' in words and "**Try**" in words
     program = "\n".join(cell.source for cell in code(notebook))
     assert not re.search(r"^\s*(?:import|from) (?:sim|scripts|tests)\b", program, re.MULTILINE)
     assert not re.search(r"jaxcslc\S*\._", program), "names of a private module"
