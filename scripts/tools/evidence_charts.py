@@ -80,7 +80,7 @@ CHARTS: Mapping[str, Chart] = {
             "a tool missing": "a tool of 12 % of the arm missing",
             "one centre off": "one centre 14 cm off",
         },
-        {"the file itself": "over the file's error", "the fit alone": "over the fit without"},
+        {"the file itself": "error over file", "the fit alone": "error over fit"},
     ),
     "real_robots": Chart(
         "Held-out torque error, mean of the joints [% of the torque]",

@@ -17,15 +17,15 @@ _BEGINNING = """# Benchmarks
 
 ![Bars: seconds of three identifications, first and later run](images/evidence/scale.svg)
 
-Figures of `make bench`, with the machine and the day that they were measured on: this page is
-written by `make bench ARGS=--update`. A group that was not run again keeps its figures and their
-date: `make bench ARGS="--groups 'first answer' --update"`. Figures of another machine come along in
-a file (`--out FILE` there, `--merge FILE` here). What limits the figures, and how they came about,
-is on [Speed and scale](scale.md).
+`make bench` measures these figures, and `make bench ARGS=--update` writes this page. Each table
+says on which machine and day it was measured. A group that is not run again keeps its figures, as
+in `make bench ARGS="--groups 'first answer' --update"`. To add another machine, write a file there
+with `--out FILE`, and read it here with `--merge FILE`. [Speed and scale](scale.md) explains what
+limits the figures.
 
-Seconds are wall-clock time unless they are a processor's. Other processes that ran or waited for a
-core when a group began are counted: they make wall-clock times and rates worse. Compiling and
-running are apart, and rates wait for their results. A target that is met is **bold**.
+Seconds are wall-clock time, or processor time where the name says so. Other processes that ran or
+waited for a core when a group began are counted: they make wall-clock times and rates worse.
+Compiling and running are measured separately. A target that is met is **bold**.
 """
 
 
