@@ -37,23 +37,29 @@ def stored(reference: str) -> list[float]:
     elif place.endswith(".csv"):
         figures = [float(_demo(place, *keys))]
     else:
-        page, _, heading = place.partition("#")
-        figures = [first_number(cell_of(page.strip(), heading.strip(), *keys))]
+        figures = [numbers_of(cell_named(reference))[0]]
     if not figures:
         raise ValueError(f"{reference}: there is no such figure")
     return figures
 
 
-def first_number(cell: str) -> float:
-    """Return the first number of a cell.
+def numbers_of(cell: str) -> list[float]:
+    """Return the numbers of a cell.
 
-    >>> first_number("**1,250.5** (3)")
-    1250.5
+    >>> numbers_of("**1,250.5** (3)")
+    [1250.5, 3.0]
     """
-    match = _NUMBER.search(cell.replace("−", "-"))
-    if match is None:
+    found = _NUMBER.findall(cell.replace("−", "-"))
+    if not found:
         raise ValueError(f"{cell!r}: expected a number")
-    return float(match.group(0).replace(",", ""))
+    return [float(number.replace(",", "")) for number in found]
+
+
+def cell_named(reference: str) -> str:
+    """Return the cell of a table of docs/ that a reference names."""
+    place, *keys = (part.strip() for part in reference.split("|"))
+    page, _, heading = place.partition("#")
+    return cell_of(page.strip(), heading.strip(), *keys)
 
 
 def cell_of(page: str, heading: str, head: str, row: str, column: str) -> str:

@@ -112,6 +112,28 @@ def test_urdf_is_pinocchios(rng: np.random.Generator, name: str) -> None:
     is_pinocchios(rng, example(file), **part)
 
 
+def test_robots_of_others_load_or_say_why_not() -> None:
+    """As `docs/robots.md` tells of the package example-robot-data."""
+    paths = [
+        Path(str(f.locate())) for f in files("example-robot-data") or [] if f.suffix == ".urdf"
+    ]
+    refused: dict[str, int] = {}
+    for path in paths:
+        try:
+            jc.load_robot(path)
+        except jc.RobotError as error:
+            (line,) = str(error).splitlines()
+            kinds = ("expected --mimic couple", "no joint that moves", "no joint of this file")
+            (kind,) = (kind for kind in kinds if kind in line)
+            refused[kind] = refused.get(kind, 0) + 1
+            if kind == kinds[0]:
+                assert jc.load_robot(path, mimic="fix").joint_count > 0
+    assert sorted(refused.values()) == [1, 3, 8]
+    text = " ".join((Path(__file__).parents[2] / "docs" / "robots.md").read_text("utf-8").split())
+    loaded = len(paths) - sum(refused.values())
+    assert f"the {len(paths)} URDFs" in text and f"{loaded} of them load" in text
+
+
 @pytest.mark.skipif(not TX40.is_file(), reason="the TX40's files are not beside the project")
 def test_the_tx40_is_pinocchios(rng: np.random.Generator) -> None:
     is_pinocchios(rng, TX40)

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from scripts.tools.evidence_charts import CHARTS, FOLDER, Chart, drawn
-from scripts.tools.stored_figures import cell_of, first_number, stored, tables
+from scripts.tools.stored_figures import cell_of, numbers_of, stored, tables
 
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -50,9 +50,9 @@ def test_cells_are_found_by_their_names() -> None:
     row = "KUKA KR300, B & mean of before and after"
     with pytest.raises(ValueError, match="no such cell"):
         cell_of("friction_evidence.md", "Joints at standstill", "motion", row, "9")
-    assert first_number("−1.5 ± 0.2") == -1.5
+    assert numbers_of("−1.5 ± 0.2") == [-1.5, 0.2]
     with pytest.raises(ValueError, match="expected a number"):
-        first_number("never")
+        numbers_of("never")
     assert all(len(names) == len(row) for _, names, rows in tables("benchmarks.md") for row in rows)
     assert stored("demo/errors_a.csv | mean ε | Ar+LS")[0] > 1.0
     with pytest.raises(ValueError, match="no such figure"):
