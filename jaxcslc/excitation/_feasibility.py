@@ -1,5 +1,6 @@
 """Use of limits by a motion at all times, and the scaling of a motion until it keeps them."""
 
+import bisect
 import dataclasses
 from collections.abc import Callable
 from typing import Any
@@ -15,7 +16,8 @@ from ._limits import QUANTITIES, Joints, Limits
 
 # Friction terms that do not jump where a joint reverses.
 _SMOOTH = ("viscous", "quadratic", "offset")
-_BISECTIONS = 14  # of a motion's scale, which is then known to 1e-4
+# Scales that a motion may have: known to 1e-4.
+_SCALES = np.arange(1, 2**14) / 2**14
 # Of a limit: so little is left of it at the end, for rounding.
 _ROUNDING = 1e-9
 
@@ -210,19 +212,20 @@ class DenseCheck:
             raise ValueError(
                 f"no motion from this start keeps the limits: at rest there, {at_rest.worst}"
             )
-        best: tuple[Parameters, Use] = resting, at_rest
-        low, high = 0.0, 1.0
-        for _ in range(_BISECTIONS):
-            factor = (low + high) / 2
+        best = resting, at_rest, 0.0
+
+        def too_large(factor: float) -> bool:
+            nonlocal best
             trial = resting + factor * (parameters - resting)
             use = self.use(trial, bodies=False)
             if use.feasible and self._distance is not None:
                 use = self.use(trial)
             if use.feasible:
-                low, best = factor, (trial, use)
-            else:
-                high = factor
-        return *best, low
+                best = trial, use, factor
+            return not use.feasible
+
+        bisect.bisect_left(_SCALES, True, key=too_large)
+        return best
 
     def within_kinematic_limits(self, parameters: Parameters, part: float = 1.0) -> Parameters:
         """Shrink each joint's motion until it keeps a part of its kinematic limits.

@@ -25,8 +25,8 @@ from ..least_squares import (
     LeastSquares,
     Settings,
     Unknowns,
-    residual_weights,
     triangle_of,
+    weights_by_residual,
 )
 from ..network import CSLC
 from ..recordings import Patterns, Recording
@@ -36,10 +36,6 @@ from ._simulation import (
     CorrectedMotion,
     simulated_derivatives,
 )
-
-
-# Rounds of weighting joints by residual.
-_ROUNDS = 3
 
 
 class ProjectedFit(NamedTuple):
@@ -72,7 +68,6 @@ def projected_fit(
     unknowns = Unknowns(equations.unknowns.names, (tuple(range(p)),) * n)
     measured, simulated = wide_rows(equations), wide_rows(instruments)
     torques = [rows[:, -1] for rows in equations.rows]
-    counts = np.array([float(len(rows)) for rows in measured])
 
     def second_stage(projected: list[np.ndarray], torques: list[np.ndarray]) -> Equations:
         rows = (np.column_stack(pair) for pair in zip(projected, torques, strict=True))
@@ -87,19 +82,15 @@ def projected_fit(
         left = [y - x @ k for y, x in zip(torques, measured, strict=True)]
         return projected, k, left
 
-    by_residual = solver.joint_weights == "residual"
-    weights = np.ones(n)
-    if not isinstance(solver.joint_weights, str):
-        weights = np.array(solver.joint_weights, float)
+    def errors(weights: Float[np.ndarray, " joints"]) -> Float[np.ndarray, " joints"]:
+        return np.array([np.sqrt(np.mean(e**2)) if len(e) else 0.0 for e in solve(weights)[2]])
+
+    given = solver.joint_weights
+    weights = np.ones(n) if isinstance(given, str) else np.array(given, float)
+    if given == "residual":
+        scale = equations.counts(), equations.torque_scale(), equations.unknowns.joint_sizes
+        weights = np.asarray(weights_by_residual(errors, weights, *scale))
     projected, k, left = solve(weights)
-    for _ in range(_ROUNDS if by_residual else 0):
-        error = np.array([np.sqrt(np.mean(e**2)) if len(e) else 0.0 for e in left])
-        weights = np.asarray(
-            residual_weights(
-                error, counts, equations.torque_scale(), equations.unknowns.joint_sizes
-            )
-        )
-        projected, k, left = solve(weights)
     pseudo = [x @ k + e for x, e in zip(projected, left, strict=True)]
     fit = _weighted(solver, weights).fit_equations(second_stage(projected, pseudo), samples)
     return ProjectedFit(fit, weights, tuple(projected))

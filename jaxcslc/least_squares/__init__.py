@@ -105,6 +105,7 @@ from ._minimum import (
     minimum as minimum,
     minimum_coefficients as minimum_coefficients,
     residual_weights as residual_weights,
+    weights_by_residual as weights_by_residual,
 )
 from ._products import (
     Preconditioner as Preconditioner,

@@ -3,7 +3,7 @@
 `Fixed` coefficients keep known values, with their uncertainty.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any, Literal, NamedTuple
 
@@ -219,17 +219,34 @@ def joint_weights_of(
         if len(joint_weights) != n:
             raise ValueError(f"joint_weights: expected {n} numbers, got {len(joint_weights)}")
         weights = weights * xp.asarray(joint_weights, float)
-    by_residual = isinstance(joint_weights, str) and joint_weights == "residual"
-    # Weights settle to a percent in two rounds: residuals barely depend on them.
-    for number in range(3 if by_residual else 0):
+    if joint_weights != "residual":
+        return weights
+
+    def errors(weights: Float[Numbers, "*batch joints"]) -> Float[Numbers, "*batch joints"]:
         k = minimum_coefficients(unknowns, factors, weights, rcond, fixed)
-        weights = residual_weights(
-            factors.root_mean_squares(unknowns, k),
-            factors.counts,
-            factors.torque_scale(),
-            # Residuals of equal weights do not tell yet what is usual: weak joints have large ones.
-            unknowns.joint_sizes if number else None,
-        )
+        return factors.root_mean_squares(unknowns, k)
+
+    scale = factors.counts, factors.torque_scale(), unknowns.joint_sizes
+    return weights_by_residual(errors, weights, *scale)
+
+
+def weights_by_residual(
+    errors: Callable[[Float[Numbers, "*batch joints"]], Float[Numbers, "*batch joints"]],
+    weights: Float[Numbers, "*batch joints"],
+    counts: Float[Numbers, "*batch joints"],
+    torque: Float[Numbers, "*batch joints"],
+    sizes: Float[Numbers, " joints"],
+) -> Float[Numbers, "*batch joints"]:
+    """Return weights of joints by the residuals of fits with the weights before.
+
+    - `errors`: root mean square residuals of the fit with some weights; `weights`: of the first.
+    - `counts`, `torque`, `sizes`: as of `residual_weights`.
+    """
+    # Weights settle to a percent in two rounds: residuals barely depend on them.
+    for number in range(3):
+        # Residuals of equal weights do not tell yet what is usual: weak joints have large ones.
+        usual = sizes if number else None
+        weights = residual_weights(errors(weights), counts, torque, usual)
     return weights
 
 

@@ -56,38 +56,29 @@ class TorqueRecord:
     @cached_property
     def averaged(self) -> Float[np.ndarray, "equations joints"]:
         """Torque of every equation; zeros where an equation spans two recordings."""
-
-        def values(time: np.ndarray, torque: np.ndarray) -> np.ndarray:
-            if self.sampling == "held":
-                return _held(time, torque, time[:: self.every], _remaining)
-            if self.every > 1:
-                return _integrated(time, torque, time[:: self.every], 2)
-            return triangle_mean(time, torque)
-
-        return self._of_each(values)
+        return self._means(0)
 
     @property
     def rate(self) -> Float[np.ndarray, "equations joints"]:
         """The derivative of `averaged` by the time at which torques are taken [N m/s or N/s]."""
+        return self._means(1)
 
-        def values(time: np.ndarray, torque: np.ndarray) -> np.ndarray:
-            if self.sampling == "held":
-                return _held(time, torque, time[:: self.every], _density)
-            if self.every > 1:
-                return _integrated(time, torque, time[:: self.every], 1)
-            return triangle_mean(time, _spline(time, torque)(time, 1))
+    def _means(self, order: int) -> Float[np.ndarray, "equations joints"]:
+        """Return means of the torque, or of its derivative of first order.
 
-        return self._of_each(values)
-
-    def _of_each(
-        self, values: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    ) -> Float[np.ndarray, "equations joints"]:
-        """Return values of each recording, with zeros for the two equations that span two
-        recordings."""
+        They are zeros for the two equations that span two recordings.
+        """
         between = np.zeros((2, self.torques[0].shape[1]))
         parts: list[np.ndarray] = []
         for time, torque in zip(self.times, self.torques, strict=True):
-            parts += [between, values(time, torque)]
+            knots = time[:: self.every]
+            if self.sampling == "held":
+                means = _held(time, torque, knots, _density if order else _remaining)
+            elif self.every > 1:
+                means = _integrated(time, torque, knots, 2 - order)
+            else:
+                means = triangle_mean(time, _spline(time, torque)(time, 1) if order else torque)
+            parts += [between, means]
         return np.concatenate(parts[1:])
 
 

@@ -197,7 +197,6 @@ def system_patterns(
     system: "System",
     recording: SystemRecording,
     preparation: Preparation | None = None,
-    derivatives: Derivatives | None = None,
 ) -> Patterns:
     """Return the patterns that a fit gets from a recording of a system.
 
@@ -212,8 +211,6 @@ def system_patterns(
     - `recording`: with a column for each variable.
     - `preparation`: the defaults of `Preparation` if omitted. Its thresholds are for the arguments
       of signs: a fraction of the greatest modulus, or the value itself.
-    - `derivatives`: values and derivatives of the variables at all samples, if they are known
-      already; by default those of `system_derivatives`.
 
     **Returns** patterns whose motion has v columns, and whose torque has n: the known sides.
 
@@ -232,8 +229,6 @@ def system_patterns(
     preparation = Preparation() if preparation is None else preparation
     if preparation.backlash:
         raise ValueError("preparation: backlash applies to robots only; expected backlash=False")
-    if derivatives is None:
-        derivatives = system_derivatives(system, recording, preparation)
     trim = preparation.trimmed_of(recording.time, max(len(system.states), 1))
     if not 0 <= trim < recording.samples / 2:
         raise ValueError(
@@ -241,7 +236,7 @@ def system_patterns(
             f" expected from 0 to {(recording.samples - 1) // 2}"
         )
     inside = slice(trim, recording.samples - trim)
-    q, qd, qdd = (values[inside] for values in derivatives)
+    q, qd, qdd = (values[inside] for values in system_derivatives(system, recording, preparation))
     separation = system.separation
     known = system.evaluate(separation.known, q, qd, qdd)
     for output, name in enumerate(system.outputs):

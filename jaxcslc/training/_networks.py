@@ -52,7 +52,6 @@ def fully_connected(
     *,
     bias: bool = True,
     preprocess: Callable[[Array], Array] | None = None,
-    name: str = "network",
 ) -> AdaptiveNetwork:
     """Return a network of one or more layers in which every input feeds every node (thesis 3.1).
 
@@ -103,7 +102,7 @@ def fully_connected(
             for source in range(inputs + bias)
         ]
     return AdaptiveNetwork(
-        (Subnetwork(name, tuple(layers)),),
+        (Subnetwork("network", tuple(layers)),),
         Preprocessed(sizes[0], preprocess),
         kinds[-1],
         tuple(names),

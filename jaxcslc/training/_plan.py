@@ -172,12 +172,10 @@ class SwitchWhen(eqx.Module):
 
     - `every`: epochs to the next look after the first, and after a change of turn. A look costs
       about an epoch of each rule, and each that changes nothing doubles the time to the next.
-    - `margin`: how many times the gain of the present rule another one must promise, both divided
-      by the duration of an epoch; above one, so that turns do not change for nothing.
-    - `durations`: of an epoch of each rule, in proportion; equal if omitted.
+    - `margin`: how many times the gain of the present rule another one must promise; above one, so
+      that turns do not change for nothing.
 
-    **Raises** `ValueError` for an `every` below one, a margin that is not positive, or a duration
-    that is not.
+    **Raises** `ValueError` for an `every` below one, or a margin that is not positive.
 
     >>> from jaxcslc.training import PERAL, Backpropagation, Plan, Schedule, SwitchWhen
     >>> plan = Plan(Schedule((Backpropagation(), PERAL()), switch=SwitchWhen()))
@@ -187,15 +185,12 @@ class SwitchWhen(eqx.Module):
 
     every: Int[Array, ""] | int = 5
     margin: Float[Array, ""] | float = 1.5
-    durations: tuple[Float[Array, ""] | float, ...] | None = None
 
     def __check_init__(self) -> None:
         if self.every < 1:
             raise ValueError(f"switch: expected an epoch or more between looks, got {self.every}")
         if not self.margin > 0.0:
             raise ValueError(f"switch: expected a margin above zero, got {self.margin}")
-        if self.durations is not None and not all(x > 0.0 for x in self.durations):
-            raise ValueError(f"switch: expected durations above zero, got {self.durations}")
 
     def preferred(self, present: Int[Array, ""], gains: Float[Array, " rules"]) -> Int[Array, ""]:
         """Return the rule to go on with, given what the next epoch of each promises.
@@ -208,10 +203,8 @@ class SwitchWhen(eqx.Module):
         >>> int(SwitchWhen(margin=1.5).preferred(present, jnp.asarray([0.10, 0.16])))
         1
         """
-        durations = jnp.ones(gains.shape) if self.durations is None else jnp.asarray(self.durations)
-        worth = gains / durations
-        best = jnp.argmax(worth)
-        return jnp.where(worth[best] > self.margin * worth[present], best, present)
+        best = jnp.argmax(gains)
+        return jnp.where(gains[best] > self.margin * gains[present], best, present)
 
 
 def promise(
@@ -313,14 +306,8 @@ class Schedule(eqx.Module):
             raise ValueError("schedule: turns are taken in step, or by a switch; got both")
         if self.tolerated < 1:
             raise ValueError(f"schedule: tolerated must be an epoch at least, got {self.tolerated}")
-        number = len(self.rules)
-        if self.switch is not None and number < 2:
+        if self.switch is not None and len(self.rules) < 2:
             raise ValueError("schedule: a switch needs two rules or more, got one")
-        durations = None if self.switch is None else self.switch.durations
-        if durations is not None and len(durations) != number:
-            raise ValueError(
-                f"schedule: expected a duration for each of {number} rules, got {len(durations)}"
-            )
 
 
 class Turn(eqx.Module):
