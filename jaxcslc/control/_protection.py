@@ -90,11 +90,8 @@ class JointLimitAvoidance(AbstractController):
         that ends before it begins; a negative limit or rate.
         """
         n = network.joint_count
-        self.controller, self.network, self.k = (
-            controller,
-            network,
-            checked_coefficients(network, k),
-        )
+        self.controller, self.network = controller, network
+        self.k = checked_coefficients(network, k)
         ranges = np.asarray(position_range, float)
         if ranges.shape != (n, 2):
             raise ValueError(f"position_range: expected shape ({n}, 2), got {ranges.shape}")
@@ -268,11 +265,8 @@ class FaultMonitor(AbstractController):
         **Raises** `ValueError`: a wrong number of values or coefficients, or a value out of range.
         """
         n = network.joint_count
-        self.controller, self.network, self.k = (
-            controller,
-            network,
-            checked_coefficients(network, k),
-        )
+        self.controller, self.network = controller, network
+        self.k = checked_coefficients(network, k)
         self.torque_limit = jnp.asarray(per_joint("torque_limit", torque_limit, n, 0.0))
         if breakaway is None:
             slow = jnp.full((2, n), _VERY_SLOW) * jnp.array([[1.0], [-1.0]])

@@ -7,13 +7,18 @@ from jaxtyping import Float, Int
 
 from ..friction import contact_states, dry_term
 from ..network import CSLC
-from ._equations import AbstractEquations, EquationPoint, Linearisation, MotionEquations
+from ._equations import (
+    AbstractEquations,
+    Coefficients,
+    EquationPoint,
+    Joints,
+    Linearisation,
+    MotionEquations,
+)
 
 
 Samples = Float[np.ndarray, "samples joints"]
 Rows = Float[np.ndarray, "equations joints"]
-Joints = Float[np.ndarray, " joints"]
-Coefficients = Float[np.ndarray, " coefficients"]
 
 # A first state counts as forgotten from this part of it on.
 _FORGOTTEN = 0.01
