@@ -349,7 +349,9 @@ def compared_with_value(error: float, value: float) -> str:
         return "not known"
     if part > _FAR:
         return f"{error:.2g} for a value of {value:.2g}"
-    return f"{100 * part:.2g} % of the value" if part < 0.995 else f"{part:.2g} times the value"
+    if part < 1.05:  # beyond, two digits distinguish it from the value itself
+        return f"{min(100 * part, 100.0):{'.2g' if part < 0.995 else '.0f'}} % of the value"
+    return f"{part:.2g} times the value"
 
 
 def _determined_combinations(fit: Identification) -> dict[str, str]:
