@@ -10,6 +10,7 @@ import gc
 import importlib
 import inspect
 import os
+import sys
 import threading
 from collections.abc import Callable
 from importlib.metadata import version
@@ -51,6 +52,12 @@ import hypothesis
 import jax
 import jaxtyping
 import pytest
+
+
+# Byte code is kept even where the environment says that it isn't: otherwise every worker and every
+# program that a test starts compiles the package again, and pytest rewrites the tests' assertions.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 
 # Every program is lowered in a context of MLIR of its own, and one with its dialects takes 5 ms to

@@ -1,7 +1,9 @@
 """Every notebook runs from top to bottom, and what is stored of it is fit to be read by others."""
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import nbformat
 import pytest
@@ -54,10 +56,16 @@ def test_it_needs_the_package_alone_and_has_something_to_try(path: Path) -> None
     assert not re.search(r"jaxcslc\S*\._", program), "names of a private module"
 
 
+@pytest.fixture(scope="module")
+def kernel() -> Iterator[Any]:
+    """Compiles as the tests do: `conftest.py` sets that in the environment."""
+    with execute_notebooks.kernel() as manager:
+        yield manager
+
+
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_it_runs_from_top_to_bottom(path: Path) -> None:
-    # The kernel compiles as the tests do: `conftest.py` sets that in the environment.
-    executed = execute_notebooks.execute(path)
+def test_it_runs_from_top_to_bottom(path: Path, kernel: Any) -> None:
+    executed = execute_notebooks.execute(path, kernel)
     assert kinds(executed) == kinds(read(path)), "renew it: scripts/tools/execute_notebooks.py"
 
 

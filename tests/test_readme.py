@@ -11,6 +11,7 @@ import jaxcslc as jc
 from jaxcslc.cli._app import command_named
 from tests.conftest import run
 from tests.recordings.conftest import write_bag
+from tests.test_examples import assert_truth_is_found
 from tests.test_tutorial import is_shown
 
 
@@ -125,6 +126,7 @@ def test_the_commands_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.Monk
         printed += result.output.splitlines()
     assert "mass value" in Path("arm_identified.urdf").read_text()
     assert Path("arm.c").exists() and Path("panda/results/index.html").exists()
+    assert_truth_is_found(tmp_path / "panda")
     (shown,) = re.findall(r"```text\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL)
     assert [line for line in shown.splitlines() if not is_shown(line, printed)] == []
 

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jaxcslc.cli._example import next_commands
 from tests.conftest import run
+from tests.test_examples import assert_truth_is_found
 
 
 PAGE = (Path(__file__).parents[1] / "docs" / "tutorial.md").read_text("utf-8")
@@ -64,6 +66,9 @@ def test_the_tutorial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
                 result = run(*arguments)
                 assert result.exit_code == 0, result.output
                 printed[block] = printed.get(block, "") + result.output
+    following = next_commands(Path("ur5"), "ur5.urdf")
+    assert {command for command in following if command not in PAGE} == set()
+    assert_truth_is_found(Path())
     write_in_degrees(Path("train.csv"), Path("degrees.csv"))
     spoilt = run("check", "ur5.urdf", "degrees.csv").output
     for command, text in steps():

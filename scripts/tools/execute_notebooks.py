@@ -4,14 +4,16 @@ Outputs and their numbers alone are stored: no times, no paths, no version of th
 """
 
 import argparse
+import contextlib
 import os
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any
 
 import nbformat
 from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError as CellExecutionError
+from nbclient.util import run_sync
 from tqdm import tqdm
 
 
@@ -25,17 +27,42 @@ METADATA = {
 LONGEST = 600  # s for one cell
 
 
-def execute(path: Path) -> Any:
+@contextlib.contextmanager
+def kernel() -> Generator[Any]:
+    """A kernel for several notebooks: libraries are imported, and programs compiled, once.
+
+    It starts with the first of them. Yields its manager of `jupyter_client`.
+    """
+    manager: Any = NotebookClient(
+        nbformat.v4.new_notebook(), kernel_name="python3"
+    ).create_kernel_manager()
+    try:
+        yield manager
+    finally:
+        if manager.has_kernel:
+            run_sync(manager.shutdown_kernel)(now=True)
+
+
+def execute(path: Path, manager: Any = None) -> Any:
     """The notebook with fresh outputs; nothing is written.
+
+    **Arguments**
+
+    - `path`: the notebook.
+    - `manager`: of the kernel that runs it, without what earlier notebooks defined. By default a
+      kernel of its own.
 
     **Raises** `nbclient.exceptions.CellExecutionError` at the first cell that fails.
     """
     notebook = nbformat.read(path, as_version=4)
+    if manager is not None:
+        notebook.cells.insert(0, nbformat.v4.new_code_cell("%reset -f"))
     # A backend of pictures in the environment is for programs without a notebook.
     environment = {name: text for name, text in os.environ.items() if name != "MPLBACKEND"}
     environment["TQDM_DISABLE"] = "1"  # lines of progress have times
     client = NotebookClient(
         notebook,
+        km=manager,
         timeout=LONGEST,
         kernel_name="python3",
         resources={"metadata": {"path": str(ROOT)}},
@@ -44,7 +71,11 @@ def execute(path: Path) -> Any:
         # Kernels and clients of one machine communicate unencrypted, and warn of it every time.
         extra_arguments=["--IPKernelApp.log_level=40"],
     )
-    client.execute(env=environment)
+    client.execute(env=environment, cwd=str(ROOT))
+    if manager is not None:
+        assert client.kc is not None
+        client.kc.stop_channels()
+        del notebook.cells[0]
     for cell in notebook.cells:
         cell.metadata.clear()
     notebook.metadata = nbformat.from_dict(METADATA)
