@@ -402,18 +402,27 @@ def _identified(
 ) -> Report:
     """The report of a request that has been checked."""
     friction: ChosenFriction | None = None
-    if request.friction is not None:
-        choose = choose_friction_terms if request.friction == "auto" else with_offsets
-        friction = choose(request, step)
-        request = friction.request
-    with estimator.beside(request) as begin, _checked_beside(request, step) as data_check:
-        problem = prepare(request, None if friction is None else friction.settings, step)
-        if begin is not None:
-            problem = dataclasses.replace(problem, begun=begin(problem.settings))
-        step("preparing patterns")
-        _ = problem.patterns, problem.judged_patterns  # what is wrong with recordings is said now
-        judged = estimator.judged(with_file_prior(with_friction(problem)))
-        checked = data_check()
+    asked = request
+    with _checked_in_process(request) as early:
+        if request.friction is not None:
+            choose = choose_friction_terms if request.friction == "auto" else with_offsets
+            friction = choose(request, step)
+            request = friction.request
+        same = request.network is asked.network
+        with (
+            estimator.beside(request) as begin,
+            _checked_beside(request, step, early if same else None) as data_check,
+        ):
+            problem = prepare(request, None if friction is None else friction.settings, step)
+            if begin is not None:
+                problem = dataclasses.replace(problem, begun=begin(problem.settings))
+            step("preparing patterns")
+            _ = (
+                problem.patterns,
+                problem.judged_patterns,
+            )  # what is wrong with recordings is said now
+            judged = estimator.judged(with_file_prior(with_friction(problem)))
+            checked = data_check()
     return _report(judged, friction, checked)
 
 
@@ -504,17 +513,39 @@ def _horizon(judged: Judged, states: PreSlidingFit | None) -> HorizonError:
 
 
 @contextlib.contextmanager
+def _checked_in_process(request: Request) -> Generator[Callable[[], DataCheck] | None]:
+    """Begin the check of all recordings in a process of its own; None where there is none.
+
+    Once XLA runs, no process can be forked. So the check begins before friction is chosen, and its
+    result is of the network without what is chosen. `friction="auto"` nearly always chooses.
+    """
+    motion = request.training[request.longest].position
+    if (
+        request.checks
+        and request.friction != "auto"
+        and can_fork()
+        and computed_on_host(request.network, motion)
+    ):
+        with computed_beside(lambda: _checked(request)) as result:
+            yield result
+    else:
+        yield None
+
+
+@contextlib.contextmanager
 def _checked_beside(
-    request: Request, step: Callable[[str], None]
+    request: Request, step: Callable[[str], None], early: Callable[[], DataCheck] | None
 ) -> Generator[Callable[[], DataCheck | None]]:
     """A function that returns the check of all recordings: computed at once, or beside other work
-    in a process or a thread."""
+    in a process or a thread.
+
+    - `early`: waits for the check of this request, where it has begun already.
+    """
     longest = request.training[request.longest]
     if not request.checks:
         yield lambda: None
-    elif can_fork() and computed_on_host(request.network, longest.position):
-        with computed_beside(lambda: _checked(request)) as result:
-            yield result
+    elif early is not None:
+        yield early
     elif longest.samples >= SAMPLES_OF_THREADS:
         with ThreadPoolExecutor(1) as pool:
             yield pool.submit(_checked, request).result
