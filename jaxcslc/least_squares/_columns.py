@@ -12,6 +12,7 @@ that follow others. What is left is rounding, whose coefficient would be a torqu
 import dataclasses
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import pairwise
 from typing import Any, TypeAlias, TypeVar
 
 import equinox as eqx
@@ -246,6 +247,7 @@ def _any_suspicious(columns: HostColumns) -> bool:
 
 def _sizes(columns: Float[np.ndarray, "support samples"]) -> Float[np.ndarray, "support _"]:
     """Return the root mean square of each column in each stretch."""
-    edges = np.unique(np.linspace(0, columns.shape[1], _STRETCHES + 1).astype(int))[:-1]
-    lengths = np.diff(np.append(edges, columns.shape[1]))
-    return np.sqrt(np.add.reduceat(columns**2, edges, axis=1) / lengths)
+    edges = np.unique(np.linspace(0, columns.shape[1], _STRETCHES + 1).astype(int)).tolist()
+    parts = (columns[:, first:last] for first, last in pairwise(edges))
+    squares = [np.einsum("st,st->s", part, part) / part.shape[1] for part in parts]
+    return np.sqrt(np.stack(squares, axis=1))

@@ -232,6 +232,7 @@ def equations_of(
     patterns: Patterns,
     cutoff: float | None,
     columns: HostColumns | None = None,
+    unknowns: Unknowns | None = None,
 ) -> Equations:
     """Return one equation per pair that counts, or those of a parallel filter; on the host.
 
@@ -239,7 +240,7 @@ def equations_of(
     A long recording is filtered in stretches, whose columns fit into memory: each with as much of
     its neighbours as the filter remembers to ten digits.
 
-    - `columns`: of the regressor, if they are known already.
+    - `columns`, `unknowns`: of the regressor, if they are known already.
     """
     samples = len(patterns.q)
     time, torque, mask = (np.asarray(x) for x in (patterns.time, patterns.torque, patterns.mask))
@@ -247,12 +248,15 @@ def equations_of(
         recordings: list[Equations] = []
         for rows in map(slice, starts, [*starts[1:], samples]):
             some = None if columns is None else tuple(of_joint[:, rows] for of_joint in columns)
-            recordings.append(equations_of(network, rows_of(patterns, rows), cutoff, some))
+            recordings.append(
+                equations_of(network, rows_of(patterns, rows), cutoff, some, unknowns)
+            )
         pairs = zip(recordings[1:], starts[1:], strict=True)
         return reduce(lambda joined, pair: joined.followed_by(*pair), pairs, recordings[0])
     if cutoff is None or columns is not None or samples <= LONG:
         columns = columns_of(network, patterns) if columns is None else columns
-        unknowns = unknowns_of(network, patterns, columns)
+        if unknowns is None:
+            unknowns = unknowns_of(network, patterns, columns)
         return Equations.from_columns(unknowns, columns, torque, mask, time=time, cutoff=cutoff)
     interval = uniform_interval(time)
     reach = int(np.ceil(_MEMORY / (cutoff * interval)))

@@ -25,7 +25,7 @@ _CELLS = 7000
 _FEWEST_OF_THREADS = 1 << 20
 # How many times what rounding makes of a column counts as zero: ten are those of a sum of a hundred
 # terms.
-_ROUNDINGS = 10.0
+ROUNDINGS = 10.0
 # Triangles that are stacked and factorised at once.
 _JOINED = 8
 
@@ -145,7 +145,7 @@ class JointFactors(NamedTuple):
         ):
             if unknowns.rounding is not None:
                 # The triangle without a column is that of the equations without it.
-                sizes = _ROUNDINGS * np.array([*unknowns.rounding[joint], 0.0])
+                sizes = ROUNDINGS * np.array([*unknowns.rounding[joint], 0.0])
                 least = sizes * xp.sqrt(self.counts[..., joint, None])
                 more = xp.linalg.norm(triangle, axis=-2) > least
                 triangle = xp.where(more[..., None, :], triangle, 0.0)

@@ -30,6 +30,7 @@ from ._columns import HostColumns, columns_of, rows_of, torque_by, traced, untra
 from ._equations import Equations, equations_of, samples_of, unknowns_of
 from ._errors import ERRORS, Errors, Rows, correlated_errors, independent_errors
 from ._factors import JointFactors, Unknowns
+from ._fold_products import FoldProducts
 from ._identification import RESULTS, Identification, result_of
 from ._losses import LOSSES, Loss, robust_fit, robust_scale, weight
 from ._minimum import (
@@ -256,14 +257,18 @@ class LeastSquares:
         patterns: Patterns,
         fold: Int[np.ndarray, " samples"],
         columns: HostColumns | None = None,
+        unknowns: Unknowns | None = None,
     ) -> Float[np.ndarray, "folds coefficients"]:
         """Fit coefficients to all folds except one, for each held-out fold; on the host.
 
-        - `fold`, `columns`: as of `held_out_errors`.
+        - `fold`, `columns`, `unknowns`: as of `held_out_errors`.
         """
         check_nothing_known(network, "folds")
-        equations = equations_of(network, patterns, self.cutoff, columns)
+        equations = equations_of(network, patterns, self.cutoff, columns, unknowns)
         if self.loss == "squared":
+            k = FoldProducts.of(equations, fold).coefficients(self.joint_weights, self.rcond)
+            if k is not None:
+                return k
             factors = equations.factors_of_folds(fold, int(np.max(fold)) + 1)
             return fold_coefficients(equations.unknowns, factors, self.joint_weights, self.rcond)
         return np.stack([np.asarray(fit.k) for fit in self._iterated_folds(equations, fold)])
@@ -295,17 +300,19 @@ class LeastSquares:
         patterns: Patterns,
         fold: Int[np.ndarray, " samples"],
         columns: HostColumns | None = None,
+        unknowns: Unknowns | None = None,
     ) -> Float[np.ndarray, "samples joints"]:
         """Torque error of each sample under the coefficients fitted without its fold.
 
         - `fold`: the fold of each sample, from 0.
         - `columns`: of the regressor of the patterns' motion, for each joint those of its support
           (support, samples), if they are known already.
+        - `unknowns`: of these columns (`unknowns_of`), if they are known already.
         """
         if columns is None:
             check_patterns(network, patterns)
             columns = columns_of(network, patterns)
-        k = self.fit_folds(network, patterns, fold, columns)
+        k = self.fit_folds(network, patterns, fold, columns, unknowns)
         errors = np.array(patterns.torque, float)
         for number, coefficients in enumerate(k):
             rows = samples_of(fold, number)

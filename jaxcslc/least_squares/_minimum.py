@@ -212,13 +212,7 @@ def joint_weights_of(
 
     - `joint_weights`, `rcond`: of `LeastSquares`.
     """
-    xp = array_namespace(factors.counts)
-    weights = xp.ones(factors.counts.shape)
-    if not isinstance(joint_weights, str):
-        n = len(unknowns.support)
-        if len(joint_weights) != n:
-            raise ValueError(f"joint_weights: expected {n} numbers, got {len(joint_weights)}")
-        weights = weights * xp.asarray(joint_weights, float)
+    weights = first_weights(unknowns, factors.counts, joint_weights)
     if joint_weights != "residual":
         return weights
 
@@ -228,6 +222,20 @@ def joint_weights_of(
 
     scale = factors.counts, factors.torque_scale(), unknowns.joint_sizes
     return weights_by_residual(errors, weights, *scale)
+
+
+def first_weights(
+    unknowns: Unknowns, counts: Float[Numbers, "*batch joints"], joint_weights: JointWeights
+) -> Float[Numbers, "*batch joints"]:
+    """Return the weights of joints that are given; 1 if they are not."""
+    xp = array_namespace(counts)
+    weights = xp.ones(counts.shape)
+    if isinstance(joint_weights, str):
+        return weights
+    n = len(unknowns.support)
+    if len(joint_weights) != n:
+        raise ValueError(f"joint_weights: expected {n} numbers, got {len(joint_weights)}")
+    return weights * xp.asarray(joint_weights, float)
 
 
 def weights_by_residual(

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..friction import PreSlidingFit, along_motion, fit_load, fit_slopes, linearised
-from ..least_squares import Settings, columns_of, torque_of
+from ..least_squares import Settings, columns_of, torque_of, unknowns_of
 from ..manipulator import RobotError
 from ..network import CSLC, DIRECTIONAL_LOAD, LOAD
 from ..recordings import (
@@ -72,7 +72,8 @@ class FrictionTrial:
     - `used`: whether the joint has the term in the end.
     - `possible`: whether the fit kept the term: a slope of static friction may not be determined, a
       coefficient of the load may be none that friction has, no length of pre-sliding may fit
-      better than none. An offset is possible where the motion tells it from gravity.
+      better than none. An offset is possible where the motion tells it from gravity, which is
+      looked at only if some joint's held-out error falls by it.
     - `length`: of pre-sliding [`length_unit`]; None of other kinds. `length_unit`: rad or m.
 
     >>> from jaxcslc.selection import FrictionTrial
@@ -281,14 +282,21 @@ def choose_friction(
                     after = judge.held_out(richer)
                 except (ValueError, RuntimeError):  # nothing in the motion determines it
                     continue
-                unclear = judge.unclear_offsets(richer) if "offset" in kind else ()
+                added: list[FrictionTrial] = []
                 for joint in joints:
-                    possible = {*_kinds(kind)} <= {*after.laws[joint - 1]} and joint not in unclear
+                    possible = {*_kinds(kind)} <= {*after.laws[joint - 1]}
                     relative, *differing = after.relative(before, joint)
                     worst = max(differing, key=lambda some: some.change)
-                    tried.append(
+                    added.append(
                         FrictionTrial(joint, kind, relative, False, possible, elsewhere=worst)
                     )
+                if "offset" in kind and any(_gains(trial, chance) for trial in added):
+                    unclear = judge.unclear_offsets(richer)
+                    added = [
+                        dataclasses.replace(trial, possible=trial.possible and joint not in unclear)
+                        for joint, trial in zip(joints, added, strict=True)
+                    ]
+                tried += added
         best = _best(tried, chance)
         trials += [dataclasses.replace(trial, used=trial in best.values()) for trial in tried]
         if not best:
@@ -435,8 +443,9 @@ class _Judge:
         stretches = fold_numbers(first.samples)
         halves = unlike_halves(first, moving[0])
         columns = columns_of(networks[0], first)
+        unknowns = unknowns_of(networks[0], first, columns)
         stretches_errors, *halves_errors = (
-            solver.held_out_errors(networks[0], first, fold, columns)
+            solver.held_out_errors(networks[0], first, fold, columns, unknowns)
             for fold in (stretches, *halves)
         )
         parts = [
@@ -499,7 +508,11 @@ def _best(trials: Sequence[FrictionTrial], chance: float) -> dict[int, FrictionT
 
     best: dict[int, FrictionTrial] = {}
     for trial in sorted(trials, key=cost, reverse=True):
-        worse = trial.elsewhere is not None and trial.elsewhere.change > 0.0
-        if trial.possible and not worse and trial.relative.beyond_chance(chance):
+        if _gains(trial, chance):
             best[trial.joint] = trial
     return best
+
+
+def _gains(trial: FrictionTrial, chance: float) -> bool:
+    worse = trial.elsewhere is not None and trial.elsewhere.change > 0.0
+    return trial.possible and not worse and trial.relative.beyond_chance(chance)

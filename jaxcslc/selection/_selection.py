@@ -18,7 +18,14 @@ from jaxtyping import Bool, Float, Int
 from .._environment import core_count, require, require_float64
 from .._processes import can_fork, computed_beside
 from ..checks import TorqueLag, small_torque_lag
-from ..least_squares import HostColumns, Settings, columns_of, computed_on_host
+from ..least_squares import (
+    HostColumns,
+    Settings,
+    Unknowns,
+    columns_of,
+    computed_on_host,
+    unknowns_of,
+)
 from ..network import CSLC
 from ..recordings import (
     Derivatives,
@@ -489,7 +496,7 @@ class _Trials:
         self.by_settings: dict[Settings, Trial] = {}
         self.derivatives: dict[Preparation, Derivatives] = {}
         self._ranges = resting_range(recording.position)
-        self._columns: tuple[Preparation, HostColumns] | None = None
+        self._columns: tuple[Preparation, HostColumns, Unknowns] | None = None
         self.start = candidates.start().with_options(backlash=backlash)
         # The same ends are cut off for all, so that all are fitted and judged on the same samples.
         self.trim = max(
@@ -562,8 +569,10 @@ class _Trials:
     def _trial(self, settings: Settings) -> Trial:
         """Fits settings to all stretches but one, for each, and judges them there."""
         patterns = self._patterns(settings)
-        columns = self._columns_of(settings.preparation, patterns)
-        error = settings.solver.held_out_errors(self.network, patterns, self.scoring.fold, columns)
+        columns, unknowns = self._columns_of(settings.preparation, patterns)
+        error = settings.solver.held_out_errors(
+            self.network, patterns, self.scoring.fold, columns, unknowns
+        )
         if settings.preparation.torque_alignment != "mean":
             # A torque averaged over two samples has less noise: that must not speak for averaging.
             error = 0.5 * (error + np.concatenate([error[:1], error[:-1]]))
@@ -573,14 +582,18 @@ class _Trials:
         preparation = dataclasses.replace(settings.preparation, trim=self.trim)
         return preparation.patterns(self.recording, self._motion(preparation))
 
-    def _columns_of(self, preparation: Preparation, patterns: Patterns) -> HostColumns:
+    def _columns_of(
+        self, preparation: Preparation, patterns: Patterns
+    ) -> tuple[HostColumns, Unknowns]:
         """The columns of a motion; kept until those of another one are computed."""
         motion, latest = motion_part(preparation), self._columns
         if latest is None or latest[0] != motion:
             del latest
             self._columns = None  # the next ones take its memory, whose pages are there
-            latest = self._columns = motion, columns_of(self.network, patterns)
-        return latest[1]
+            columns = columns_of(self.network, patterns)
+            unknowns = unknowns_of(self.network, patterns, columns)
+            latest = self._columns = motion, columns, unknowns
+        return latest[1:]
 
     def _motion(self, preparation: Preparation) -> Derivatives:
         motion = motion_part(preparation)
