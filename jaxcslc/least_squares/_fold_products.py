@@ -100,7 +100,7 @@ class FoldProducts(NamedTuple):
         sums: list[np.ndarray] = []
         for support, of_joint in zip(self.unknowns.support, self.products, strict=True):
             sides = np.concatenate([k[:, list(support)], -np.ones((len(k), 1))], axis=1)
-            sums.append(np.einsum("fi,fij,fj->f", sides, of_joint, sides, optimize=True))
+            sums.append(np.sum((of_joint @ sides[..., None])[..., 0] * sides, axis=-1))
         return np.stack(sums, axis=-1)
 
     def _solved(
