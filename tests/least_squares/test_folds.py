@@ -8,6 +8,7 @@ import pytest
 
 import jaxcslc as jc
 from jaxcslc.least_squares import triangle_of
+from jaxcslc.least_squares._fold_products import FoldProducts
 from tests import arms
 
 
@@ -74,3 +75,6 @@ def test_folds_that_determine_everything_or_not(case: str, rng: np.random.Genera
     equations = solver.equations(network, patterns)
     oracle = [solver.coefficients(equations.selected(fold != number)) for number in range(3)]
     np.testing.assert_allclose(solver.fit_folds(network, patterns, fold), oracle, atol=1e-7)
+    # Products tell neither a residual of rounding nor what is not determined.
+    by_products = FoldProducts.of(equations, fold).coefficients("residual", None)
+    assert (by_products is not None) == (case == "noise")
