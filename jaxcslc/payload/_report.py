@@ -214,7 +214,6 @@ def fit_payload(
     previous: Previous | None = None,
     *,
     solver: LeastSquares | None = None,
-    throw: bool = True,
 ) -> PayloadFit:
     """Fit the ten inertial parameters of a payload to patterns of the loaded arm (thesis 8.2.4).
 
@@ -238,7 +237,6 @@ def fit_payload(
     - `loaded`, `unloaded`: patterns (samples, n).
     - `previous`: an `Identification` of the arm, or its coefficients, which then count as exact.
     - `solver`: options of the fit; the defaults of `LeastSquares` if None.
-    - `throw`: as of `LeastSquares.fit`.
 
     **Returns** a `PayloadFit`. Runs on the host; with `unloaded` it keeps the equations of both
     recordings in memory.
@@ -270,20 +268,17 @@ def fit_payload(
     whole = network.with_payload() if network.payload is None else network
     solver = solver or LeastSquares()
     if previous is not None:
-        fit = reidentify(whole, loaded, previous, groups=("payload",), solver=solver, throw=throw)
+        fit = reidentify(whole, loaded, previous, groups=("payload",), solver=solver)
     else:
         assert unloaded is not None
         payload = whole.layout.indices("payload").tolist()
         alone = solver.equations(whole, unloaded).without(payload)
         both = solver.equations(whole, loaded).followed_by(alone, loaded.samples)
-        fit = solver.fit_equations(both, loaded.samples + unloaded.samples, throw=throw)
+        fit = solver.fit_equations(both, loaded.samples + unloaded.samples)
     columns = whole.layout.payload
     covariance = np.asarray(fit.independent_covariance)[columns, columns]
-    body: np.ndarray | None = np.asarray(fit.k)[columns]
-    if np.isfinite(covariance).all() and np.isfinite(body).all():
-        body = nearest_body(body, covariance, np.asarray(fit.undetermined)[:, columns])
-    else:
-        body = None
+    undetermined = np.asarray(fit.undetermined)[:, columns]
+    body = nearest_body(np.asarray(fit.k)[columns], covariance, undetermined)
     return PayloadFit(fit, None if body is None else link_of(body))
 
 

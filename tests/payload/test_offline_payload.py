@@ -362,4 +362,3 @@ def test_failures(
     wrong = dataclasses.replace(patterns, torque=np.full((FEW, 6), np.nan))
     with pytest.raises(RuntimeError, match="NaN"):
         jc.fit_payload(puma, wrong, previous=loaded_k)
-    assert jc.fit_payload(puma, wrong, previous=loaded_k, throw=False).possible is None
