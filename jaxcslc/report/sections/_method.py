@@ -267,11 +267,12 @@ class FilePriorSection(AbstractSection):
         ]
         yield Section(
             "The robot's file as prior",
-            "The inertial parameters of the robot's file decide what the motion leaves open. Their"
-            " assumed error is 20 %, or more where that predicts unlike motion better. It is larger"
-            " for links that the data contradict or that share one inertia. Errors of the data are"
-            f" assumed to be {np.sqrt(weight.misfit):.3g} times those that residuals show, as"
-            f" predictions of unlike motion suggest. The file decides {weight.decided} of"
+            "The log decides the inertial parameters that its motion determines, and the robot's"
+            " file the others. Masses of the file are assumed to be known to 20 %, or less well if"
+            " fits to parts of the motion then predict the other parts better. Links that the data"
+            " contradict, or that share one inertia, are assumed to be known less well. Errors of"
+            f" the data are assumed to be {np.sqrt(weight.misfit):.3g} times as large as residuals"
+            f" show. The file decides {weight.decided} of"
             f" {counted(len(weight.share), 'coefficient')}.",
             [Table.from_columns(columns, "Assumed errors", "file-prior")],
         )

@@ -98,11 +98,11 @@
   dialog.querySelector(".close").addEventListener("click", () => dialog.close());
   dialog.addEventListener("close", () => Plotly.purge(large));
 
-  // Paper has four charts beside each other.
-  const paper = { width: 390, height: 260 };
+  // Paper has four charts of joints beside each other, and others by themselves.
+  const paper = (chart) => (chart.closest(".grid") ? { width: 390, height: 260 } : { width: 780, height: 400 });
   window.addEventListener("beforeprint", function () {
     Array.from(waiting).filter(shown).forEach(drawFirst);
-    document.querySelectorAll(".chart.js-plotly-plot").forEach((chart) => Plotly.relayout(chart, { ...paper, autosize: false }));
+    document.querySelectorAll(".chart.js-plotly-plot").forEach((chart) => Plotly.relayout(chart, { ...paper(chart), autosize: false }));
   });
   window.addEventListener("afterprint", () => drawn().forEach(draw));
 })();
