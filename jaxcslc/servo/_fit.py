@@ -37,7 +37,7 @@ from ._search import (
     JointMotion,
     JointProblem,
 )
-from ._sensitivity import Coupling, sensitivities
+from ._sensitivity import Coupling, lengths_of_steps, sensitivities
 from ._simulation import LONGEST_STEP, joint_loads, simulate, with_payload
 from ._start import Regression, starting_point
 
@@ -68,10 +68,7 @@ _COARSE_STEP, _DERIVATIVE_STEP = 4.0 * LONGEST_STEP, 2.0 * LONGEST_STEP
 # Iterations: of the first and second search for each joint alone, and of that for all together.
 _COARSE, _AGAIN, _TOGETHER = 20, 6, 25
 _DAMPINGS = (1e-3, 1e-1, 1.0)  # of Levenberg and Marquardt, tried one after the other
-_LITTLE = 1e-2  # part of the cost; less of a gain ends the search
-# Steps of differences, of those in `UNKNOWNS`: halved where the search ends, for friction makes the
-# cost rough; smaller ones are rounding.
-_LEAST_SHRINK = 0.2
+_LITTLE, _STALLED = 1e-2, 2  # part of the cost; iterations that gain less and end the search
 _START_NOISE = 0.005  # rad, of residuals, before the first search
 _START_CORRELATION = 50.0  # samples that carry the information of one, likewise
 _SMOOTHING = 0.12  # s, window of the cubic polynomials that give accelerations of other joints
@@ -163,9 +160,7 @@ def identify_servo(
 
     The estimate is that of maximum likelihood of output errors: the drives whose simulation, open
     loop from the commands, is nearest to the measured positions. Its errors count what the model
-    leaves unexplained as correlated noise (sandwich estimate over blocks of seconds). Intervals of
-    encoder offsets are too narrow for arms whose gears have play: fewer than half hold the true
-    value (`scripts/studies/servo`).
+    leaves unexplained as correlated noise (sandwich estimate over blocks of seconds).
 
     **Arguments**
 
@@ -305,11 +300,12 @@ class _Search:
         self.smooth = [_smoothed(x) for x in self.recordings]
         self.velocities = [_start_velocity(x) for x in self.recordings]
         self.offsets = self.base[:, NAMES.index("offset")].copy()
-        self.masses, self.shrink = 1.0, 0.5
+        self.masses = 1.0
         self.notes: list[str] = []
         self.vague_gain = [False] * self.robot.joint_count
         self.unknowns: list[np.ndarray] = []
         self.problems: list[JointProblem] = []
+        self.lengths: list[np.ndarray] = []
         self.misfits: list[np.ndarray] = []
 
     @property
@@ -369,6 +365,7 @@ class _Search:
         self.problems = [dataclasses.replace(x, names=self.names) for x in self.problems]
         pairs = zip(self.problems, rows, strict=True)
         self.unknowns = [problem.unknowns_of(row) for problem, row in pairs]
+        self.lengths = [problem.steps for problem in self.problems]
 
     def _scalable(self, mass_error: float) -> Bool[np.ndarray, " unknowns"]:
         """Return which of the zero positions and the scale of the masses may be sought."""
@@ -508,6 +505,7 @@ class _Search:
             dataclasses.replace(problem, longest_step=_DERIVATIVE_STEP) for problem in self.problems
         ]
         simulated = self._simulated(self.unknowns, self.masses)
+        stalled = 0
         for _ in range(_TOGETHER):
             self._take_motions(simulated)
             misfits = self._misfits(simulated)
@@ -525,9 +523,8 @@ class _Search:
                 if cost < before:
                     self.unknowns, self.masses, simulated = unknowns, masses, trial
                     break
-            if cost > (1.0 - _LITTLE) * before:
-                self.shrink *= 0.5
-            if self.shrink < _LEAST_SHRINK:
+            stalled = stalled + 1 if cost > (1.0 - _LITTLE) * before else 0
+            if stalled == _STALLED:
                 break
         self._take_motions(simulated)
         self.misfits = self._misfits(simulated)
@@ -546,7 +543,9 @@ class _Search:
             for (q, v, a), payload in zip(self.smooth, self.payloads, strict=True)
         ]
         scale = self.masses, self.is_absolute
-        return sensitivities(self.problems, self.unknowns, couplings, *scale, self.shrink)
+        found = sensitivities(self.problems, self.unknowns, couplings, *scale, self.lengths)
+        self.lengths = lengths_of_steps(self.problems, found)
+        return found
 
     def _moved(self, step: Float[np.ndarray, " unknowns"]) -> tuple[list[np.ndarray], float]:
         ends = np.cumsum([len(x) for x in self.unknowns])
@@ -585,6 +584,11 @@ class _Search:
         )
         self._take_file_limits(rows)
         stack = self.stack(self.misfits, mass_error)
+        confusions: list[ConfoundedParameters] = []
+        for i, (problem, x) in enumerate(zip(self.problems, self.unknowns, strict=True)):
+            for pair, covariance in confounded(i, problem, x, self.masses):
+                confusions.append(pair)
+                stack = stack.with_confounded(self.problems, pair, covariance)
         if "gain" in self.names:
             starts = np.cumsum([0, *[len(x) for x in self.unknowns[:-1]]])
             variances = np.diag(stack.covariance)[starts + self.names.index("gain")]
@@ -592,11 +596,6 @@ class _Search:
         parameters, covariance, refused = stack.parameters(
             self.problems, self.unknowns, rows, self.vague_gain, ratios_only
         )
-        confusions = [
-            pair
-            for i, problem in enumerate(self.problems)
-            for pair in confounded(i, problem, self.unknowns[i], self.masses)
-        ]
         confusions += [
             ConfoundedParameters(joint, (name,), *ALONE[name])
             for joint, name in refused

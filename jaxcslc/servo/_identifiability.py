@@ -150,8 +150,8 @@ COMPLIANCE = (
 
 def confounded(
     joint: int, problem: JointProblem, x: Float[np.ndarray, " unknowns"], masses: float
-) -> list[ConfoundedParameters]:
-    """Return the known pairs that the recordings of a joint confound.
+) -> list[tuple[ConfoundedParameters, Float[np.ndarray, "pair pair"]]]:
+    """Return the known pairs that the recordings of a joint confound, and their covariances.
 
     Parameters that the fit left at their known values take part: they might explain the motion
     instead of those that it estimated.
@@ -164,9 +164,9 @@ def confounded(
     z = whole.unknowns_of(row)
     sizes = np.array([UNKNOWNS[x].size(value) for x, value in zip(names, z, strict=True)])
     A = whole.information(z, masses)
-    found: list[ConfoundedParameters] = []
+    found: list[tuple[ConfoundedParameters, np.ndarray]] = []
     if "play" in problem.names:
-        found.append(ConfoundedParameters(joint, ("play",), *COMPLIANCE))
+        found.append((ConfoundedParameters(joint, ("play",), *COMPLIANCE), np.zeros((1, 1))))
     for pair, (reason, remedy) in PAIRS.items():
         if not set(pair) & set(problem.names):
             continue
@@ -180,5 +180,5 @@ def confounded(
         correlation = covariance[0, 1] / (spread[0] * spread[1])
         vague = np.any(spread > _VAGUE * sizes[keep])
         if abs(correlation) > CONFOUNDED_FROM and vague:
-            found.append(ConfoundedParameters(joint, pair, reason, remedy))
+            found.append((ConfoundedParameters(joint, pair, reason, remedy), covariance))
     return found

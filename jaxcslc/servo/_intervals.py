@@ -6,6 +6,7 @@ against the estimate is taken as it is (Huber, 1967; blocks as in Liang and Zege
 the residuals is taken as an error of the model that all blocks share.
 """
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from jaxtyping import Float
 from scipy.special import stdtrit
 
 from ._drive import DRIVE_UNITS
+from ._identifiability import ConfoundedParameters
 from ._search import NAMES, JointProblem
 
 
@@ -128,6 +130,25 @@ class Stack:
         left = bread @ gradient
         covariance = bread @ meat @ bread + np.outer(left, left)
         return cls(gradient, information, covariance, len(slices), has_scale)
+
+    def with_confounded(
+        self,
+        problems: Sequence[JointProblem],
+        pair: ConfoundedParameters,
+        covariance: Float[np.ndarray, "pair pair"],
+    ) -> "Stack":
+        """Return a copy with the covariance of two confounded parameters on top.
+
+        Derivatives of such parameters differ by little more than the roughness of differences,
+        which counts as information about them.
+        """
+        names = problems[pair.joint].names
+        start = sum(len(problem.names) for problem in problems[: pair.joint])
+        kept = [k for k, name in enumerate(pair.parameters) if name in names]
+        at = [start + names.index(pair.parameters[k]) for k in kept]
+        total = self.covariance.copy()
+        total[np.ix_(at, at)] += covariance[np.ix_(kept, kept)]
+        return dataclasses.replace(self, covariance=total)
 
     def step(
         self, low: Float[np.ndarray, " unknowns"], damping: float

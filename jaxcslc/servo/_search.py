@@ -135,6 +135,11 @@ class JointProblem:
         )
 
     @property
+    def steps(self) -> Float[np.ndarray, " unknowns"]:
+        """Steps of differences."""
+        return np.array([unknown.step for unknown in self.unknowns])
+
+    @property
     def centres(self) -> Float[np.ndarray, " unknowns"]:
         """Centres of the prior."""
         return np.array(
@@ -217,10 +222,12 @@ class JointProblem:
         return self.weight * squares + np.sum(self.prior(x) ** 2, axis=1)
 
     def linearised(
-        self, x: Float[np.ndarray, " unknowns"], shrink: float = 1.0, masses: float = 1.0
+        self,
+        x: Float[np.ndarray, " unknowns"],
+        steps: Float[np.ndarray, " unknowns"],
+        masses: float = 1.0,
     ) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, "samples unknowns"]]:
         """Return the residuals and their derivatives by central differences."""
-        steps = shrink * np.array([unknown.step for unknown in self.unknowns])
         above = x + np.diag(steps)
         below = np.maximum(x - np.diag(steps), self.low)
         residuals = self.residuals(np.vstack([x, above, below]), masses)
@@ -232,7 +239,7 @@ class JointProblem:
         self, x: Float[np.ndarray, " unknowns"], masses: float = 1.0
     ) -> Float[np.ndarray, "unknowns unknowns"]:
         """Return half the second derivatives of the cost (Gauss and Newton)."""
-        _, J = self.linearised(x, 1.0, masses)
+        _, J = self.linearised(x, self.steps, masses)
         return self.weight * (J.T @ J) + np.diag(self.deviations**-2.0)
 
     def minimum(
@@ -244,7 +251,7 @@ class JointProblem:
         damping = 1e-2
         cost = self.cost(x[None], masses)[0]
         for _ in range(iterations):
-            residuals, J = self.linearised(x, shrink, masses)
+            residuals, J = self.linearised(x, shrink * self.steps, masses)
             gradient = self.weight * (J.T @ residuals) + self.prior(x[None])[0] / deviations
             H = self.weight * (J.T @ J) + np.diag(deviations**-2.0)
             free = (x > low) | (gradient < 0.0)

@@ -4,6 +4,10 @@ A parameter of one joint moves the others too, by the inertia and the gravity th
 Joints are simulated one by one, which costs a fiftieth of the whole arm: each under the loads that
 the changed motion of the others gives, to first order, twice around (waveform relaxation;
 Lelarasmee, 1982). Read with `_search` and `_intervals`.
+
+Friction and play make positions rough: a small change of a parameter moves them by some tenths of a
+milliradian at random. Differences are taken over steps that move a joint by several times as much.
+Otherwise the roughness counts as information: a search stops short, with intervals too narrow.
 """
 
 import math
@@ -19,8 +23,9 @@ from ._search import NAMES, JointMotion, JointProblem
 from ._simulation import JointLoads, inverse_dynamics, simulate_joint
 
 
-MASS_STEP = 0.02
+MASS_STEP = 0.1
 """Change of the logarithm of the masses' scale, for derivatives."""
+_MOVE = 0.002  # rad RMS, by which a step moves a joint: several times the roughness
 _ANGLE_STEP = 1e-3  # rad, for derivatives of loads: gravity is a sine
 _SWEEPS = 2
 _LEAST_PUSH = 1e-5  # rad, by which a load must move a servo to count: 1 % of what steps move
@@ -62,18 +67,18 @@ def sensitivities(
     couplings: Sequence[Coupling],
     masses: float,
     has_scale: bool,
-    shrink: float,
+    lengths: Sequence[np.ndarray],
 ) -> list[Float[np.ndarray, "samples all"]]:
     """Return for each joint the derivatives with respect to all unknowns, and the masses' scale.
 
     - `couplings`: of each recording, the joints moving as simulated.
     - `has_scale`: whether the scale is an unknown; its derivatives are zero otherwise.
-    - `shrink`: part of the unknowns' steps that differences take.
+    - `lengths`: steps of differences, of each joint's unknowns.
     """
     ends = np.cumsum([0, *[len(x) for x in unknowns]])
     size = int(ends[-1]) + 1
     steps = np.append(
-        shrink * np.concatenate([[u.step for u in problem.unknowns] for problem in problems]),
+        np.concatenate([problem.steps for problem in problems]),
         MASS_STEP,
     )
     # Zero positions, which change angles at unchanged readings.
@@ -84,7 +89,7 @@ def sensitivities(
 
     def alone(i: int) -> tuple[np.ndarray, np.ndarray]:
         problem, x = problems[i], unknowns[i]
-        residuals, own = problem.linearised(x, shrink, masses)
+        residuals, own = problem.linearised(x, lengths[i], masses)
         J = np.zeros((len(residuals), size))
         J[:, ends[i] : ends[i + 1]] = own
         if has_scale:
@@ -111,11 +116,14 @@ def sensitivities(
                     push += couplings[n].mass[:, i, j, None] * _accelerations(other[part], motion)
             loads = motion.loads(masses)
             before = residuals[part] + motion.position
-            largest = np.max(np.abs(weight * steps) + np.abs(push * steps), axis=0)
-            for k in np.flatnonzero(largest > least):
+            torques = np.abs(weight) + np.abs(push)
+            pushed_by = _MOVE * row[0, NAMES.index("gain")]
+            for k in np.flatnonzero(steps * np.max(torques, axis=0) > least):
+                # Loads are linear in the unknown's change, which therefore may be any.
+                change = pushed_by / math.sqrt(float(np.mean(torques[:, k] ** 2)))
                 torque = loads.torque.copy()
-                torque[:, 0] += steps[k] * weight[:, k]
-                torque[:, 3] += steps[k] * push[:, k]
+                torque[:, 0] += change * weight[:, k]
+                torque[:, 3] += change * push[:, k]
                 pushed = simulate_joint(
                     JointLoads(torque, loads.inertia),
                     row,
@@ -124,7 +132,7 @@ def sensitivities(
                     motion.start,
                     longest_step=problems[i].longest_step,
                 )[0]
-                J[part, k] += (pushed - before) / steps[k]
+                J[part, k] += (pushed - before) / change
             start = part.stop
         return J
 
@@ -136,6 +144,24 @@ def sensitivities(
         for _ in range(_SWEEPS if len(problems) > 1 else 0):
             J_before = list(pool.map(together, everyone))
     return J_before
+
+
+def lengths_of_steps(
+    problems: Sequence[JointProblem], derivatives: Sequence[Float[np.ndarray, "samples all"]]
+) -> list[Float[np.ndarray, " unknowns"]]:
+    """Return steps of differences that move each joint by `_MOVE`, as derivatives tell.
+
+    They are at least those of `UNKNOWNS`, and at most the deviations of the prior.
+    """
+    lengths: list[np.ndarray] = []
+    start = 0
+    for problem, J in zip(problems, derivatives, strict=True):
+        own = J[:, start : start + len(problem.names)]
+        sizes = np.sqrt(np.mean(own**2, axis=0))
+        wanted = _MOVE / np.maximum(sizes, 1e-12)
+        lengths.append(np.clip(wanted, problem.steps, problem.deviations))
+        start += len(problem.names)
+    return lengths
 
 
 def _accelerations(

@@ -10,6 +10,10 @@ import pytest
 from jaxcslc.manipulator import LinkParameters
 from jaxcslc.servo import ServoDrive, ServoRecording, simulate
 from jaxcslc.servo._fit import _known_rows, _scaled, _Search
+from jaxcslc.servo._identifiability import ConfoundedParameters
+from jaxcslc.servo._intervals import Stack
+from jaxcslc.servo._search import UNKNOWNS, JointProblem
+from jaxcslc.servo._sensitivity import lengths_of_steps
 from jaxcslc.servo._simulation import with_payload
 from tests.servo.arms import arm, held_sines
 
@@ -54,6 +58,30 @@ def test_derivatives_are_those_of_the_whole_arm(tmp_path: Path) -> None:
     for j in range(3):
         error = np.sqrt(np.mean((got[j][:, -1] - want[:, j]) ** 2))
         assert error < 0.1 * np.sqrt(np.mean(want**2))
+
+
+def test_steps_move_a_joint_by_2_mrad() -> None:
+    """But by no less than the table's steps, and within the prior's deviations."""
+    problem = JointProblem(("offset", "delay", "armature"), np.zeros(19), (), 1.0, 0.001)
+    signs = np.tile([1.0, -1.0], 50)[:, None]
+    J = signs * np.array([0.05, 0.5, 0.01, 70.0, 70.0, 70.0])
+    first, second = lengths_of_steps([problem, problem], [J, J])
+    np.testing.assert_allclose(first, [0.002 / 0.05, 0.002 / 0.5, UNKNOWNS["armature"].deviation])
+    np.testing.assert_allclose(second, problem.steps)
+
+
+def test_confounded_parameters_have_their_covariance_on_top() -> None:
+    """In the place of the pair's unknowns; a parameter that is known has none."""
+    problem = JointProblem(("gain", "delay", "damping"), np.zeros(19), (), 1.0, 0.001)
+    stack = Stack(np.zeros(7), np.eye(7), np.eye(7), 9, False)
+    pair = ConfoundedParameters(1, ("damping", "lead"), "", "")
+    wider = stack.with_confounded([problem] * 2, pair, np.array([[4.0, -3.0], [-3.0, 5.0]]))
+    np.testing.assert_array_equal(np.diag(wider.covariance), [1, 1, 1, 1, 1, 5, 1])
+    both = ConfoundedParameters(1, ("delay", "damping"), "", "")
+    wider = stack.with_confounded([problem] * 2, both, np.array([[4.0, -3.0], [-3.0, 5.0]]))
+    want = np.eye(7)
+    want[4:6, 4:6] += [[4.0, -3.0], [-3.0, 5.0]]
+    np.testing.assert_array_equal(wider.covariance, want)
 
 
 def test_zero_positions_and_masses_are_found_together(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc.servo import ServoRecording
+from jaxcslc.servo import ServoDrive, ServoRecording
 
 
 TICK = 2.0 * np.pi / 4096
@@ -103,6 +103,14 @@ class Servos:
             load_friction=between(0.1, 0.3),
             dead_zone=np.full(joints, 1.5 * TICK),
             play=np.full(joints, np.deg2rad(1.0)),
+        )
+
+    def drives(self) -> tuple[ServoDrive, ...]:
+        """Return the servos as `jaxcslc` describes them."""
+        columns = dataclasses.asdict(self)
+        return tuple(
+            ServoDrive(**{name: float(x[i]) for name, x in columns.items()})
+            for i in range(len(self.gain))
         )
 
     def without(self, *names: str) -> "Servos":
