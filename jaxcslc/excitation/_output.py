@@ -280,9 +280,7 @@ def _margins(design: Design) -> Section:
     return Section("Margins", lead, (Table(columns, rows, name="margins-table"),))
 
 
-def save_design(
-    design: Design, path: str | Path, *, rate: float | None = None, command: str = ""
-) -> tuple[Path, ...]:
+def save_design(design: Design, path: str | Path, *, command: str = "") -> tuple[Path, ...]:
     """Write a motion as `NAME.csv`, and next to it in the forms that controllers read.
 
     - `NAME.csv`: columns `time`, `position_1`, ..., `velocity_1`, ..., `acceleration_1`, ..., or by
@@ -294,7 +292,6 @@ def save_design(
     **Arguments**
 
     - `path`: of the CSV file; its folder exists.
-    - `rate`: of the rows [Hz]; by default the recording's.
     - `command`: that the page shows.
 
     **Returns** the files.
@@ -305,7 +302,7 @@ def save_design(
     - `OSError`: files cannot be written.
     """
     paths = design_files(path)
-    network, (time, motion) = design.network, design.sampled(rate)
+    network, (time, motion) = design.network, design.sampled()
     points, names = trajectory_points(time, *motion), network.output_names
     message = {"header": {"frame_id": ""}, "joint_names": names, "points": points}
     texts = (
