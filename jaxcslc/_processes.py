@@ -246,9 +246,7 @@ def function_beside(
         yield begun
 
 
-def over_chunks(
-    function: Callable[[int, int], Result], rows: int, most: int, align: int = 1
-) -> list[Result]:
+def over_chunks(function: Callable[[int, int], Result], rows: int, most: int) -> list[Result]:
     """Return the results of a function for consecutive chunks of rows, with one thread per core.
 
     The function leaves the interpreter's lock alone most of the time, as C code, BLAS and NumPy's
@@ -259,16 +257,14 @@ def over_chunks(
 
     - `function`: of the first row of a chunk and of the one after its last.
     - `rows`: how many; `most`: in a chunk.
-    - `align`: chunks begin at multiples of it.
 
     **Returns** the results in order.
 
-    >>> over_chunks(lambda first, last: (first, last), rows=10, most=4, align=2)
+    >>> over_chunks(lambda first, last: (first, last), rows=10, most=4)
     [(0, 4), (4, 8), (8, 10)]
     """
-    size = max(most // align, 1) * align
-    firsts = range(0, rows, size)
-    lasts = [min(first + size, rows) for first in firsts]
+    firsts = range(0, rows, most)
+    lasts = [min(first + most, rows) for first in firsts]
     threads = min(core_count(), len(firsts))
     if threads < 2:
         return [function(first, last) for first, last in zip(firsts, lasts, strict=True)]

@@ -16,6 +16,7 @@ from .._plain_data import toml_document
 from .._scratch import unfinished
 from ..bodies import PhysicalParameters, body_of, link_of, pseudo_inertia
 from ..manipulator import (
+    START_TAG,
     TENSOR_ENTRIES,
     Element,
     LinkParameters,
@@ -120,7 +121,6 @@ def _quoted(text: str) -> str:
 
 
 _ATTRIBUTE = re.compile(rb"""(\s+)([^\s=/>"']+)\s*=\s*("[^"]*"|'[^']*')""")
-_START = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""")
 
 
 @dataclass(eq=False)
@@ -167,7 +167,7 @@ class XmlEdits:
         text = self._text
         for start in sorted(self._changes, reverse=True):
             change = self._changes[start]
-            tag = _START.match(text, start)
+            tag = START_TAG.match(text, start)
             assert tag is not None
             new = _with_attributes(tag[0], change)
             if change.children:

@@ -6,7 +6,7 @@ readers of blocks alone. A block's factors come from `_products`.
 
 import itertools
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
@@ -155,8 +155,8 @@ def pattern_factors(network: AbstractLinearNetwork, patterns: Patterns) -> Joint
     return equations_of(network, patterns, None).factors()
 
 
-def shard_patterns(patterns: Patterns, devices: Sequence[Any] | None = None) -> Patterns:
-    """Spread patterns over several devices, for `LeastSquares(errors="independent").fit`.
+def shard_patterns(patterns: Patterns) -> Patterns:
+    """Spread patterns over all devices, for `LeastSquares(errors="independent").fit`.
 
     Each device then factorises its patterns, and their triangles are joined. Under
     `jax.distributed`, every process calls this with the patterns that it has read, as many as
@@ -166,7 +166,6 @@ def shard_patterns(patterns: Patterns, devices: Sequence[Any] | None = None) -> 
 
     - `patterns`: (samples, n); those of this process. Filled up with patterns outside of the
       mask to a multiple of this process's devices.
-    - `devices`: of all processes; all there are if None.
 
     **Returns** the same patterns, as JAX's arrays, sharded along samples.
 
@@ -177,10 +176,8 @@ def shard_patterns(patterns: Patterns, devices: Sequence[Any] | None = None) -> 
     >>> sharded.q.sharding.spec[0], int(sharded.mask.sum())
     ('patterns', 30)
     """
-    devices = list(jax.devices()) if devices is None else list(devices)
-    sharding = NamedSharding(Mesh(np.array(devices), (_AXIS,)), PartitionSpec(_AXIS))
-    here = sum(device.process_index == jax.process_index() for device in devices)
-    missing = -len(patterns.q) % here
+    sharding = NamedSharding(Mesh(np.array(jax.devices()), (_AXIS,)), PartitionSpec(_AXIS))
+    missing = -len(patterns.q) % jax.local_device_count()
 
     def spread(x: Array | np.ndarray) -> Array:
         x = np.pad(np.asarray(x), [(0, missing)] + [(0, 0)] * (x.ndim - 1))

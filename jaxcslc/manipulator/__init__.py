@@ -52,6 +52,7 @@ from ._placement import (
     modified_dh as modified_dh,
 )
 from .files import (
+    START_TAG as START_TAG,
     Element as Element,
     load_robot as load_robot,
     mujoco_spec as mujoco_spec,

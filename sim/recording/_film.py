@@ -256,6 +256,8 @@ def _rgba(colour: str) -> list[float]:
 
 _LINE = 22  # height of a line of text [pixels]
 _INK = (30, 30, 30)
+_RATE = 25  # pictures a second
+_VIEW = 135.0, -20.0  # azimuth and elevation of the camera [degrees]
 
 
 def film(
@@ -266,10 +268,7 @@ def film(
     loads: Sequence[Load] = (),
     titles: Sequence[str] = (),
     caption: Callable[[int, int], str] | None = None,
-    speed: float = 1.0,
-    rate: int = 25,
     size: tuple[int, int] = (640, 480),
-    view: tuple[float, float] = (135.0, -20.0),
     floor: float | None = None,
 ) -> None:
     """Makes a film of a motion, or of several side by side.
@@ -287,10 +286,7 @@ def film(
     - `titles`: one a motion.
     - `caption`: returns the text below a motion, from the numbers of motion and sample, both
         counted from 0.
-    - `speed`: of the film; 2 for twice as fast as the motion.
-    - `rate`: pictures a second.
     - `size`: of a motion's picture: width and height, even numbers [pixels].
-    - `view`: azimuth and elevation of the camera [degrees].
     - `floor`: its height in frame 0 [m]; see `Scene.of`.
 
     **Raises**
@@ -307,17 +303,17 @@ def film(
     """
     path = Path(path)
     motions = [truths] if isinstance(truths, Truth) else list(truths)
-    _check(path, motions, titles, speed, rate, size)
+    _check(path, motions, titles, size)
     av = require("av", "film")
     require("PIL", "film")
-    pictures = Pictures(machine, motions, loads, titles, caption, size, view, floor)
+    pictures = Pictures(machine, motions, loads, titles, caption, size, floor)
     time = motions[0].time
-    count = math.floor((time[-1] - time[0]) / speed * rate) + 1
-    shown = np.searchsorted(time, time[0] + np.arange(count) * speed / rate - 1e-9)
+    count = math.floor((time[-1] - time[0]) * _RATE) + 1
+    shown = np.searchsorted(time, time[0] + np.arange(count) / _RATE - 1e-9)
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         with av.open(str(path), "w") as container:
-            stream = container.add_stream("libx264", rate=fractions.Fraction(rate))
+            stream = container.add_stream("libx264", rate=fractions.Fraction(_RATE))
             stream.width, stream.height = pictures.width, pictures.height
             stream.pix_fmt = "yuv420p"
             stream.options = {"crf": "20"}
@@ -340,7 +336,6 @@ class Pictures:
         titles: Sequence[str],
         caption: Callable[[int, int], str] | None,
         size: tuple[int, int],
-        view: tuple[float, float],
         floor: float | None,
     ) -> None:
         """Take the arguments of `film`."""
@@ -371,7 +366,7 @@ class Pictures:
         shoulder = float(model.body_pos[1, 2])
         self._camera.lookat[:] = 0.0, 0.0, 0.8 * shoulder + 0.2 * self._scene.ground
         self._camera.distance = 2.0 * self._scene.size
-        self._camera.azimuth, self._camera.elevation = view
+        self._camera.azimuth, self._camera.elevation = _VIEW
 
     def at(self, sample: int) -> np.ndarray:
         """The picture of a sample, (height, width, 3) of 8 bits."""
@@ -410,8 +405,6 @@ def _check(
     path: Path,
     motions: Sequence[Truth],
     titles: Sequence[str],
-    speed: float,
-    rate: int,
     size: tuple[int, int],
 ) -> None:
     if path.suffix.lower() != ".mp4":
@@ -420,7 +413,5 @@ def _check(
         raise MachineError("film: expected one or more motions of as many samples each")
     if titles and len(titles) != len(motions):
         raise MachineError(f"film: {len(titles)} titles for {len(motions)} motions")
-    if not speed > 0 or rate < 1:
-        raise MachineError(f"film: speed is {speed} and rate {rate}; expected more than zero")
     if min(size) < 2 or any(value % 2 for value in size):
         raise MachineError(f"film: size is {size}; expected even numbers of pixels")

@@ -12,4 +12,9 @@
 from ._load import load_robot as load_robot
 from ._mujoco_reader import mujoco_spec as mujoco_spec
 from ._toml import panda as panda, puma560 as puma560, tx40 as tx40
-from ._urdf import Element as Element, parse_xml as parse_xml, read_xml as read_xml
+from ._urdf import (
+    START_TAG as START_TAG,
+    Element as Element,
+    parse_xml as parse_xml,
+    read_xml as read_xml,
+)

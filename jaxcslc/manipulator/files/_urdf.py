@@ -22,7 +22,7 @@ from .._manipulator import JointLimits, Mimic
 _DEEPEST, _MOST_ELEMENTS, _MOST_BODIES = 256, 200_000, 3000
 # Where bodies and joints are: MuJoCo computes with any number, and poses become NaN without a word.
 _PLACEMENT = {"xyz", "rpy", "pos", "axis", "quat", "euler", "axisangle", "xyaxes", "zaxis"}
-_TAG = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""")
+START_TAG = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*>""")
 
 
 @dataclass(eq=False)
@@ -92,7 +92,7 @@ def parse_xml(text: bytes, where: str) -> Element:
     def end(_: str) -> None:
         element = stack.pop()
         copies.pop()
-        tag = _TAG.match(text, element.start)
+        tag = START_TAG.match(text, element.start)
         if tag is not None and tag[0].endswith(b"/>"):  # empty: expat's index is of little use
             element.end = tag.end()
         else:

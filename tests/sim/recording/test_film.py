@@ -97,7 +97,6 @@ def test_films_that_cannot_be_made_are_refused(tmp_path: Path):
         ("arm.avi", truth, {}, r"arm\.avi; expected a name that ends in \.mp4"),
         ("arm.mp4", [], {}, "expected one or more motions"),
         ("arm.mp4", truth, {"titles": ["a", "b"]}, "2 titles for 1 motions"),
-        ("arm.mp4", truth, {"speed": 0.0}, "speed is 0.0"),
         ("arm.mp4", truth, {"size": (101, 100)}, "expected even numbers of pixels"),
     ]
     for name, truths, options, message in cases:
