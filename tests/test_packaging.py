@@ -1,6 +1,7 @@
 """What the project promises about itself: its pins, its wheel, and who may import whom."""
 
 import ast
+import functools
 import importlib.metadata
 import re
 import subprocess
@@ -71,12 +72,18 @@ def sources(folder: Path) -> list[Path]:
     return sorted(folder.rglob("*.py"))
 
 
+@functools.lru_cache(maxsize=1)
+def nodes(source: str) -> tuple[ast.AST, ...]:
+    """All of a source's syntax tree; the last one is kept, for it is asked for several times."""
+    return tuple(ast.walk(ast.parse(source)))
+
+
 def imported(source: str, package: str) -> Iterator[str]:
     """Absolute dotted names of everything that `source`, a module of `package`, imports.
 
     `from a import b` gives `a.b`, since `b` may be a module.
     """
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes(source):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -114,7 +121,7 @@ def configures_jax(source: str) -> bool:
         and isinstance(node.func, ast.Attribute)
         and node.func.attr == "update"
         and ast.unparse(node.func.value).split(".")[-1] == "config"
-        for node in ast.walk(ast.parse(source))
+        for node in nodes(source)
     )
 
 
@@ -302,7 +309,7 @@ def distributions(lines: Iterable[str]) -> set[str]:
 
 def required_modules(source: str) -> Iterator[tuple[str, str]]:
     """What `source` loads through `require(module, extra)`: the module and its extra."""
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes(source):
         if (
             isinstance(node, ast.Call)
             and isinstance(node.func, ast.Name)
@@ -317,10 +324,14 @@ def type_checking_only(source: str) -> set[str]:
     """Names that `source` imports for annotations alone, below `if TYPE_CHECKING:`."""
     hints = Counter(
         name
-        for node in ast.walk(ast.parse(source))
-        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
+        for node in nodes(source)
+        if isinstance(node, ast.If)
+        and isinstance(node.test, (ast.Name, ast.Attribute))
+        and ast.unparse(node.test).endswith("TYPE_CHECKING")
         for name in imported(ast.unparse(ast.Module(node.body, [])), "")
     )
+    if not hints:
+        return set()
     everywhere = Counter(imported(source, ""))
     return {name for name, count in hints.items() if everywhere[name] == count}
 
