@@ -107,6 +107,8 @@ class Equations:
 
     def times(self, roots: Sequence[Float[np.ndarray, " _"]]) -> "Equations":
         """Return the equations multiplied by factors: per joint, one factor per equation."""
+        if all(np.all(root == 1.0) for root in roots):
+            return self
         rows = (rows * root[:, None] for rows, root in zip(self.rows, roots, strict=True))
         return Equations(self.unknowns, tuple(rows), self.sample)
 

@@ -89,6 +89,9 @@ def part_of(
 
     - `free`: indices of the unknowns that remain, ascending.
     """
+    if len(free) == equations.unknowns.size:
+        unknowns = dataclasses.replace(equations.unknowns, rounding=None)
+        return dataclasses.replace(equations, unknowns=unknowns)
     names = tuple(equations.unknowns.names[index] for index in free)
     position = {index: number for number, index in enumerate(free)}
     support: list[tuple[int, ...]] = []

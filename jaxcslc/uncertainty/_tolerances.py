@@ -246,10 +246,9 @@ def _estimates(
     All are weighted.
     """
     size = regressor.shape[-1]
-    normal = np.einsum("sji,sjk->ik", regressor, regressor)
-    right = np.einsum(
-        "sji,sjk->ik", regressor, np.concatenate([faults, residual[..., None]], axis=-1)
-    )
+    rows = regressor.reshape(-1, size)
+    others = np.concatenate([faults, residual[..., None]], axis=-1)
+    normal, right = rows.T @ rows, rows.T @ others.reshape(len(rows), -1)
     scales = np.sqrt(np.maximum(np.diag(normal), _TINY))
     values, vectors = np.linalg.eigh(normal / np.outer(scales, scales))
     counted = values > _ROUNDING * max(float(values[-1]), _TINY) if size else np.zeros(0, bool)
