@@ -105,10 +105,14 @@ class CRows:
 
     def passed(self, rows: Sequence[np.ndarray], lengths: dict[str, int]) -> Any:
         """Return the argument as `CArray.passed` does."""
-        of_row = CArray(self.axis, written=self.written)
-        pointers = [of_row.passed(row, lengths) for row in rows]
-        addresses: Any = (ctypes.c_void_p * len(rows))(*(x.value for x in pointers))
-        addresses.kept = pointers  # as long as the addresses
+        if not self.written:
+            rows = [np.ascontiguousarray(row, float) for row in rows]
+        alike = rows and len({(row.shape, row.dtype, row.flags.carray) for row in rows}) == 1
+        # One check for all: of hundreds of rows, checks take longer than what C computes of them.
+        for row in rows[:1] if alike else rows:
+            CArray(self.axis, written=self.written).passed(row, lengths)
+        addresses: Any = (ctypes.c_void_p * len(rows))(*(row.ctypes.data for row in rows))
+        addresses.kept = rows  # as long as the addresses
         return addresses
 
 
