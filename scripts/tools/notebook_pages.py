@@ -17,7 +17,7 @@ from mkdocs.structure.files import File, Files
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 _TO_NOTEBOOK = re.compile(r"\]\(\.\./notebooks/(\w+)\.ipynb\)")
 _TO_DOCS = re.compile(r"\]\(\.\./docs/")
-_FRAME = re.compile(r'<table border="1" class="dataframe">.*?</table>', re.DOTALL)  # of pandas
+_FRAME = re.compile(r'<table border="1" class="dataframe">(.*?</table>)', re.DOTALL)  # of pandas
 _TO_README = re.compile(r"\[([^\]]*)\]\(\.\./README\.md[^)]*\)")
 
 
@@ -43,7 +43,7 @@ def page_of(notebook: nbformat.NotebookNode, name: str) -> tuple[str, dict[str, 
                 pictures[file] = base64.b64decode(output.data["image/png"])
                 parts.append(f"![output of the cell above]({file})")
             elif table := _FRAME.search(output.get("data", {}).get("text/html", "")):
-                parts.append(table[0])
+                parts.append(f"<table>{table[1]}")  # without a class the theme styles it
             elif "text/plain" in output.get("data", {}):
                 parts.append(_fenced(output.data["text/plain"], "text"))
     return "\n\n".join(parts) + "\n", pictures

@@ -12,7 +12,8 @@ from scripts.tools.notebook_pages import NOTEBOOKS, page_of, site_links
 
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
-TABLE = '<table border="1" class="dataframe"><tr><td>1</td></tr></table>'  # as pandas writes it
+FRAME = '<table border="1" class="dataframe">'  # as pandas writes it
+CELLS = "<tr><td>1</td></tr></table>"
 
 
 def test_cells_and_outputs_become_markdown() -> None:
@@ -21,7 +22,9 @@ def test_cells_and_outputs_become_markdown() -> None:
         v4.new_output("stream", text="2\n"),
         v4.new_output("display_data", {"image/png": base64.b64encode(b"PNG").decode()}),
         v4.new_output("execute_result", {"text/plain": "3"}, execution_count=1),
-        v4.new_output("display_data", {"text/plain": "x", "text/html": f"<div>{TABLE}</div>"}),
+        v4.new_output(
+            "display_data", {"text/plain": "x", "text/html": f"<div>{FRAME}{CELLS}</div>"}
+        ),
     ]
     cells = [
         v4.new_markdown_cell("# Title\n\n[control](../docs/control.md#saturation)"),
@@ -31,7 +34,7 @@ def test_cells_and_outputs_become_markdown() -> None:
     assert text == (
         "# Title\n\n[control](../control.md#saturation)\n\n```python\nprint(1 + 1)\n```\n\n"
         "```text\n2\n```\n\n![output of the cell above](sums_1.png)\n\n```text\n3\n```\n\n"
-        f"{TABLE}\n"
+        f"<table>{CELLS}\n"
     )
     assert pictures == {"sums_1.png": b"PNG"}
 
