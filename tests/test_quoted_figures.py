@@ -228,6 +228,26 @@ CLAIMS = (
             1 < a / b < 2.2 for (a,), (b,) in zip(seconds[::2], seconds[1::2], strict=True)
         ),
     ),
+    *(
+        Claim(
+            page,
+            "takes two to three times as long",
+            tuple(
+                _SECONDS.format(arm, row)
+                for arm in (
+                    "KUKA KR300 | B",
+                    "KUKA LWR4+ | hw3",
+                    "Franka Panda | last third",
+                    "Stäubli TX40 | last third",
+                )
+                for row in ("identify, best", "identify")
+            ),
+            lambda *seconds: all(
+                1.5 < a / b < 3.5 for (a,), (b,) in zip(seconds[::2], seconds[1::2], strict=True)
+            ),
+        )
+        for page in ("README.md", "docs/tutorial.md")
+    ),
     Claim(
         "docs/control.md",
         "takes about 0.1 ms in Python, and less than 1 µs in exported C",
