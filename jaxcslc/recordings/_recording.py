@@ -424,7 +424,7 @@ _REPEATED_ROWS = 20
 
 
 def without_repetition(recording: Recording) -> Recording:
-    """Leave out stretches of twenty rows or more that repeat earlier rows, one after the other.
+    """Omit stretches of twenty rows or more that repeat earlier rows, one after the other.
 
     Logs that were put together twice, buffers that are sent again and loops of a simulation have
     them. Noise that repeats does not average out, so that they tell nothing new. (Motion that
@@ -442,7 +442,7 @@ def without_repetition(recording: Recording) -> Recording:
     >>> again = Recording(0.02 * np.arange(150), np.tile(second, (3, 1)), np.tile(second, (3, 1)))
     >>> shorter = without_repetition(again)
     >>> shorter.samples, shorter.notes
-    (50, ('100 of 150 rows repeat earlier ones, all values and in the same order: left out',))
+    (50, ('100 of 150 rows repeat earlier ones, all values and in the same order: omitted',))
     """
     values = _values(recording)
     # Hashes of rows: sums of their bits by odd factors, modulo 2^64.
@@ -462,8 +462,8 @@ def without_repetition(recording: Recording) -> Recording:
     intervals[np.diff(repeats, prepend=False)] = np.median(intervals)
     kept = recording.rows(~repeats)
     note = (
-        f"{count} of {len(values)} rows repeat earlier ones, all values and in the same order: left"
-        " out"
+        f"{count} of {len(values)} rows repeat earlier ones, all values and in the same order:"
+        " omitted"
     )
     time = recording.time[0] + np.cumsum(np.where(repeats, 0.0, intervals))[~repeats]
     return dataclasses.replace(kept, time=time, notes=(*kept.notes, note))

@@ -197,13 +197,13 @@ def sampled(values: np.ndarray) -> Recording:
     return Recording(0.01 * np.arange(len(values)), values, values**2)
 
 
-def test_stretches_that_repeat_are_left_out_and_time_closes(rng: np.random.Generator) -> None:
+def test_stretches_that_repeat_are_omitted_and_time_closes(rng: np.random.Generator) -> None:
     first, second = rng.standard_normal((2, 100, 2))
     again = without_repetition(sampled(np.concatenate([first, first, second, first[30:60]])))
     np.testing.assert_array_equal(again.position, np.concatenate([first, second]))
     np.testing.assert_allclose(again.time, 0.01 * np.arange(200), atol=1e-12)
     assert again.notes == (
-        "130 of 330 rows repeat earlier ones, all values and in the same order: left out",
+        "130 of 330 rows repeat earlier ones, all values and in the same order: omitted",
     )
 
 
