@@ -338,11 +338,12 @@ def _tables(rows: list[dict[str, Any]]) -> Iterator[str]:
                 *(f"{a:.2f}, {b:.2f}" for a, b in zip(median, most, strict=True)),
                 f"{100 * np.mean(np.max(ratios[:, :2], axis=1) <= 1.0):.0f}",
                 f"{100 * np.mean(ratios[:, 1] <= _COST):.0f}",
-                *(_part_named(group) for group in (some, rich)),
+                *(_part_warned(group) for group in (some, rich)),
             ]
         )
-    header = ["file", "recordings", "over the file's", "over the fit without", "over before"]
-    header += ["below file and fit [%]", "below 1.1 times the fit [%]", "named [%]", "rich [%]"]
+    header = ["file", "recordings", "error over file", "error over fit", "error over consistent"]
+    header += ["below file and fit [%]", "below 1.1 times fit [%]", "warned [%]"]
+    header += ["warned, rich motion [%]"]
     yield text_table(header, cells, left=("file",))
     for file in dict.fromkeys(row["file"] for row in rows):
         yield ""
@@ -351,8 +352,8 @@ def _tables(rows: list[dict[str, Any]]) -> Iterator[str]:
     yield from _bodies(rows)
 
 
-def _part_named(rows: list[dict[str, Any]]) -> str:
-    """Part of the recordings that name the file as contradicted [%]."""
+def _part_warned(rows: list[dict[str, Any]]) -> str:
+    """Part of the recordings at which a warning names the file's values [%]."""
     return f"{100 * np.mean([row['named'] for row in rows]):.0f}" if rows else "-"
 
 
