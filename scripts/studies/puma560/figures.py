@@ -44,8 +44,8 @@ CAPTIONS = {
     "7.4-2": "Motion of PUMA A's joint 5 in the training trajectory.",
     "7.5": "Half the summed squared errors of the training patterns, epoch by epoch. A bout of"
     " PERAL is ten epochs, after two hundred of backpropagation. Dotted: the direct solve.",
-    "7.6-1": "Measured and predicted torques of the comparison trajectory, PUMA A, and below each"
-    " what predictions are off.",
+    "7.6-1": "Measured and predicted torques of the comparison trajectory, PUMA A, with the errors"
+    " of the predictions below.",
     "7.6-2": "The same, PUMA B.",
     "7.6-4": "A reversal of PUMA A in the training trajectory: of all joints' reversals, the one"
     " whose lower ramp of the error, on either side, is highest in units of dry friction. In the"

@@ -220,7 +220,7 @@ def torque_picture(
     *,
     title: str,
 ) -> Figure:
-    """Torque of every joint against time, and below it what predictions are off (Fig. 7.6-1).
+    """Torque of every joint against time, with the errors of predictions below (Fig. 7.6-1).
 
     Predictions that are good lie on top of each other and of the measured torque. Their errors
     tell them apart.
