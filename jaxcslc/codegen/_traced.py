@@ -84,10 +84,13 @@ def _evaluated(graph: Expressions, jaxpr: Any, constants: Any, inputs: Any) -> l
     for equation in jaxpr.eqns:
         arguments = [read(atom) for atom in equation.invars]
         name, parameters = equation.primitive.name, equation.params
+        known = all(x.dtype != object for x in arguments)
         if name in _CALLS:
             inner = parameters[_CALLS[name]]
             results = _evaluated(graph, inner.jaxpr, inner.consts, arguments)
-        elif not any(x.dtype == object for x in arguments):
+        elif known and name in _MOVES:
+            results = [np.asarray(_MOVES[name](arguments, parameters))]
+        elif known:
             bound = equation.primitive.bind(*map(jnp.asarray, arguments), **parameters)
             results = bound if equation.primitive.multiple_results else [bound]
             results = [np.asarray(x) for x in results]

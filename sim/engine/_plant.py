@@ -300,11 +300,6 @@ class Plant:
         return self._rows(self._qd[:, self._rotor])
 
     @property
-    def rotor_acceleration(self) -> Float[np.ndarray, "*machines joints"]:
-        """Accelerations of the rotors at the latest `drive` [rad/s² or m/s²]."""
-        return self._rows(self._observed["rotor_acceleration"])
-
-    @property
     def torque(self) -> Float[np.ndarray, "*machines joints"]:
         """Torque of the drives just after the latest `drive` [N m or N]."""
         return self._rows(self._observed["torque"])
@@ -313,11 +308,6 @@ class Plant:
     def friction(self) -> Float[np.ndarray, "*machines joints"]:
         """Friction of rotor and link at the latest `drive` [N m or N]."""
         return self._rows(self._observed["friction"])
-
-    @property
-    def link_friction(self) -> Float[np.ndarray, "*machines joints"]:
-        """Friction of the link alone at the latest `drive` [N m or N]."""
-        return self._rows(self._observed["link_friction"])
 
     @property
     def transmitted(self) -> Float[np.ndarray, "*machines joints"]:
