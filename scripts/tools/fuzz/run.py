@@ -34,7 +34,9 @@ from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
 
 
-_HANGS = 60.0  # seconds after which a case is ended
+# A case is ended after so much time of the processor [s], so that a busy machine ends none; and
+# after so much time by the clock [s], since one that waits for itself uses no processor.
+_WORKS, _HANGS = 60.0, 600.0
 _FOLDER = Path(__file__).parent
 
 Row = dict[str, Any]
@@ -104,7 +106,7 @@ class _Worker:
     def __init__(self, index: int, seed: int, templates: Path, folder: Path) -> None:
         self.index, self.seed, self.templates, self.folder = index, seed, templates, folder
         self.number: int | None = None
-        self.since = 0.0
+        self.since = self.worked = 0.0
         self._start()
 
     def _start(self) -> None:
@@ -127,6 +129,7 @@ class _Worker:
         if number is None:
             return False
         self.number, self.since = number, time.monotonic()
+        self.worked = self._processor_time()
         self.connection.send(number)
         return True
 
@@ -141,17 +144,28 @@ class _Worker:
         except EOFError:
             self.process.join()
             fault = f"ended its process, exit code {self.process.exitcode}"
-        if fault is None and time.monotonic() - self.since > _HANGS:
-            self.process.kill()
-            fault = f"took more than {_HANGS:g} s"
+        waited = time.monotonic() - self.since
+        worked = max(self._processor_time() - self.worked, 0.0)
+        if fault is None and (worked > _WORKS or waited > _HANGS):
+            fault = f"took more than {worked:.0f} s of the processor, {waited:.0f} s by the clock"
         if fault is None:
             return None
+        self.process.kill()
+        self.process.join()
         self.number = None
         self._start()
         from scripts.tools.fuzz.cases import kind_of
 
         row = {"seed": self.seed, "case": number, "kind": kind_of(number or 0, self.seed)}
-        return {**row, "code": None, "seconds": _HANGS, "memory": 0, "fault": fault}
+        return {**row, "code": None, "seconds": worked, "memory": 0, "fault": fault}
+
+    def _processor_time(self) -> float:
+        """Return the time that the process and its threads used so far [s]; 0 where unknown."""
+        try:
+            words = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            return 0.0
+        return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
     def stop(self) -> None:
         self.process.kill()
