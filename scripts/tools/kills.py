@@ -114,7 +114,8 @@ try:
     manager, client = start_new_kernel()
 
     def run(cell, moment=None):
-        client.execute(cell)
+        # A kernel whose cell failed refuses those that it was sent meanwhile, unless told not to.
+        client.execute(cell, stop_on_error=False)
         if moment is not None:
             time.sleep(moment)
             manager.interrupt_kernel()
