@@ -132,11 +132,28 @@ def test_init_takes_columns_of_any_names(folder: Path) -> None:
     assert run("check", "odd.csv").exit_code == 0
 
 
+def test_init_takes_files_without_a_header_line(folder: Path) -> None:
+    """Values tell columns: milliseconds, degrees, and a commanded position that nobody needs."""
+    rows = list(csv.reader(Path("log.csv").read_text().splitlines()))[1:]
+    lines = (",".join([row[0], *row[4:]]) for row in rows)
+    Path("bare.csv").write_text("\n".join(lines))
+    result = run("init", "arm.urdf", "bare.csv", "--fix", "grip")
+    assert result.exit_code == 0, result.output
+    (assumed,) = (line for line in result.output.splitlines() if "assumed" in line)
+    assert "column 2 to column 3 lie within the joints' limits in deg" in assumed
+    assert "wrong" not in result.output
+    columns = tomllib.loads(Path("jaxcslc.toml").read_text("utf-8"))["columns"]
+    assert columns["position"] == {"columns": ["column 2", "column 3"], "unit": "deg"}
+    assert columns["torque"] == {"columns": ["column 4", "column 5"]}
+    assert run("check", "bare.csv").exit_code == 0
+
+
 def test_files_that_say_too_little_are_refused(folder: Path) -> None:
     Path("odd.csv").write_text("a,b\n" + "".join(f"{i},{i}\n" for i in range(9)))
     result = run("init", "arm.urdf", "odd.csv")
     assert result.exit_code == 2 and "odd.csv: its columns are a, b. " in result.stderr
-    assert "in [position] and [torque]" in result.stderr and "--columns" in result.stderr
+    assert "expected 3 columns of each" in result.stderr
+    assert 'position.columns = ["q1", "q2"]' in result.stderr and "--columns" in result.stderr
     three = [f"{x}_{i}" for x in ("position", "torque") for i in (1, 2, 3, 4)]
     lines = (",".join([f"{i / 10}", *[str(i)] * 8]) for i in range(9))
     Path("more.csv").write_text("\n".join([",".join(["time", *three]), *lines]))

@@ -4,7 +4,7 @@ import dataclasses
 import json
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,6 +19,7 @@ from ..recordings import (
     column_names_of,
     guessed_mapping,
     load_recording,
+    mapping_by_values,
 )
 from ._common import Context, Output, command
 from ._inputs import ColumnsOption, RecordingOptions, RobotPart, recording_of
@@ -117,15 +118,7 @@ def _mapping(log: Path, stated: Path | None, robot: Manipulator, found: Decision
         load_recording(log)
     except RecordingError:
         names = column_names_of(log)
-        mapping = guessed_mapping(names, _names(robot))
-        if mapping is None:
-            more = ", ..." if len(names) > _SHOWN else ""
-            raise RecordingError(
-                f"{log}: its columns are {', '.join(names[:_SHOWN])}{more}. No names of positions"
-                ' and torques are among them. Write "columns = [...]" with one name per joint in'
-                " [position] and [torque], and that of the time in [time], into a file for"
-                " --columns, as docs/recordings.md shows"
-            ) from None
+        mapping = guessed_mapping(names, _names(robot)) or _by_values(log, names, robot, found)
         for quantity in ("time", "position", "velocity", "torque"):
             if (table := mapping.get(quantity)) is not None:
                 columns, unit = table["columns"], table.get("unit", "SI units")
@@ -137,6 +130,32 @@ def _mapping(log: Path, stated: Path | None, robot: Manipulator, found: Decision
         return mapping
     found.decide("columns", "recognised by their names")
     return {}
+
+
+def _by_values(
+    log: Path, names: Sequence[str], robot: Manipulator, found: Decisions
+) -> dict[str, Any]:
+    """Return the mapping that the columns' values suggest, and say what was assumed."""
+    joints = robot.independent_joints
+    limits = [(robot.joint_limits[joint].low, robot.joint_limits[joint].high) for joint in joints]
+    try:
+        mapping, assumed = mapping_by_values(log, _names(robot), limits)
+    except RecordingError as error:
+        more = ", ..." if len(names) > _SHOWN else ""
+        reason = str(error).removeprefix(f"{log}: ")
+        raise RecordingError(
+            f"{log}: its columns are {', '.join(names[:_SHOWN])}{more}. Neither their names nor"
+            f" their values tell positions and torques: {reason}. Write them into a file for"
+            f" --columns: {_SYNTAX}"
+        ) from None
+    found.decide("columns", f"assumed by their values: {assumed} (columns)")
+    return mapping
+
+
+_SYNTAX = (
+    'time.columns = "t", position.columns = ["q1", "q2"], torque.columns = ["tau1", "tau2"], a line'
+    " each (docs/recordings.md)"
+)
 
 
 def _names(robot: Manipulator) -> list[str]:

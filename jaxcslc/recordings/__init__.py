@@ -105,6 +105,7 @@ from .files import (
     load_commands as load_commands,
     load_recording as load_recording,
     load_recordings as load_recordings,
+    mapping_by_values as mapping_by_values,
     save_recording as save_recording,
 )
 

@@ -9,10 +9,15 @@
 - `_tables`, `_bag`: the type of a file, its columns in SI units, and checks.
 - `_layout`: which columns are a recording's, and units.
 - `_known_layouts`: formats that are recognised by their column names.
-- `_column_mapping`: a user's own mapping of columns, and a guess of one for unknown formats.
+- `_column_mapping`: a user's own mapping of columns.
+- `_column_guess`: guesses of one for unknown formats, by names and by values.
 """
 
-from ._column_mapping import ColumnMapping as ColumnMapping, guessed_mapping as guessed_mapping
+from ._column_guess import (
+    guessed_mapping as guessed_mapping,
+    mapping_by_values as mapping_by_values,
+)
+from ._column_mapping import ColumnMapping as ColumnMapping
 from ._recording_files import (
     CommandTable as CommandTable,
     RecordingChunk as RecordingChunk,

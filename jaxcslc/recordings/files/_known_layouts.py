@@ -36,7 +36,7 @@ def layout_by_format(file: str, header: Header) -> ColumnLayout:
     columns = _TORQUE_NAMES.parsed(header.names)
     if any(column.is_telling for column in columns):
         return _named_layout(file, header, columns, (*QUANTITIES, "current"))
-    return _own_layout(file, header.names)
+    return _own_layout(file, header)
 
 
 def servo_layout(file: str, header: Header) -> ColumnLayout:
@@ -265,11 +265,12 @@ def _current_hint(names: Iterable[str]) -> str:
     )
 
 
-def _own_layout(file: str, names: Sequence[str]) -> ColumnLayout:
+def _own_layout(file: str, header: Header) -> ColumnLayout:
     """Return the layout of a file as this package writes it: SI units, joints numbered from 1.
 
     Duplicate, unknown and missing columns are errors; nothing is guessed.
     """
+    names = header.names
 
     def wrong(problem: str) -> RecordingError:
         return RecordingError(
@@ -291,9 +292,9 @@ def _own_layout(file: str, names: Sequence[str]) -> ColumnLayout:
     if _commands(unknown) and not numbers["torque"]:
         raise RecordingError(f"{file}: no torque, {SERVO_HINT}")
     if unknown:
+        problem = header.hint or f"unknown column {listed(unknown, 4)}"
         raise RecordingError(
-            f"{wrong(f'unknown column {listed(unknown, 4)}')}; jaxcslc init ROBOT LOG writes one"
-            " where names tell"
+            f"{wrong(problem)}; jaxcslc init ROBOT LOG writes one where names or values tell"
         )
     if "time" not in names:
         raise wrong("missing column time")

@@ -467,12 +467,14 @@ class _CsvHeader(NamedTuple):
     - `names`: of the columns, without spaces about them.
     - `lines`: before the first line of data; comments among them.
     - `first`: cells of the first row; empty if there is none.
+    - `named`: whether the file has a header line.
     """
 
     names: list[str]
     delimiter: str = ","
     lines: int = 0
     first: Sequence[str] = ()
+    named: bool = True
 
 
 def _open_csv(path: Path, delimiter: str | None) -> _File:
@@ -485,14 +487,18 @@ def _open_csv(path: Path, delimiter: str | None) -> _File:
     def line(row: int) -> int | None:
         return next((n for n, _ in itertools.islice(_csv_rows(path, header), row, None)), None)
 
-    return _File(Header(header.names), lambda layout: _csv_pieces(path, header, layout), line=line)
+    hint = "" if header.named else "the file has no header line"
+    return _File(
+        Header(header.names, hint=hint), lambda layout: _csv_pieces(path, header, layout), line=line
+    )
 
 
 def _csv_header(path: Path, delimiter: str | None) -> _CsvHeader:
     """Read names and delimiter from the first lines.
 
     Lines that begin with `#` are comments; the last before the first row is the header where that
-    row is one of numbers, as `numpy.savetxt` writes it.
+    row is one of numbers, as `numpy.savetxt` writes it. Without one, columns are called `column 1`,
+    `column 2` and so on.
     """
     with path.open(encoding="utf-8-sig", newline="") as file:
         comment = ""
@@ -507,6 +513,9 @@ def _csv_header(path: Path, delimiter: str | None) -> _CsvHeader:
                 names, _ = _cells(comment, mark)
                 if len(names) == len(cells):
                     return _CsvHeader(names, mark, number - 1, cells)
+                if not _counts(cells):
+                    names = [f"column {i}" for i in range(1, len(cells) + 1)]
+                    return _CsvHeader(names, mark, number - 1, cells, named=False)
             first = next((text for _, text in lines if _is_data(text)), "")
             return _CsvHeader(cells, mark, number, _cells(first, mark)[0] if first else [])
     return _CsvHeader([])
@@ -604,6 +613,11 @@ def _cells(line: str, delimiter: str | None) -> tuple[list[str], str]:
     if mark == " ":
         line = " ".join(line.split())
     return [cell.strip() for row in csv.reader([line], delimiter=mark) for cell in row], mark
+
+
+def _counts(cells: Sequence[str]) -> bool:
+    """Return whether cells count up from 0 or 1, as names of columns without names do."""
+    return any(cells == [str(start + i) for i in range(len(cells))] for start in (0, 1))
 
 
 def _is_data(line: str) -> bool:

@@ -1,0 +1,310 @@
+"""Guesses of which columns of an unknown format are what: by their names, or by their values.
+
+What comes out is a mapping as in `_column_mapping`.
+"""
+
+import itertools
+import os
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from .._recording import RecordingError
+from ._recording_files import column_names_of, load_columns
+
+
+# Words of column names, by quantity: the first quantity with a word of a name is meant.
+_WORDS = {
+    "velocity": {"velocity", "vel", "speed", "qd", "dq", "qdot", "omega"},
+    "acceleration": {"acceleration", "acc", "accel", "qdd", "ddq"},
+    "torque": {"torque", "trq", "tau", "effort", "eff", "moment"},
+    "current": {"current", "cur", "curr", "amps", "amp"},
+    "position": {"position", "pos", "q", "angle", "theta", "encoder", "enc"},
+}
+_JOINT = {"joint", "axis", "j", "deg", "rad", "actual", "act", "measured"}  # alone: positions
+_TIME = {"time", "timestamp", "stamp", "t", "clock", "sec", "seconds"}
+_COMMANDED = {"command", "commanded", "cmd", "desired", "des", "target", "ref", "reference", "set"}
+_UNITS = {
+    "time": {"ms": "ms", "us": "us", "ns": "ns", "msec": "ms"},
+    "position": {"deg": "deg", "degree": "deg", "degrees": "deg", "mrad": "mrad"},
+    "velocity": {"deg": "deg/s", "degs": "deg/s", "rpm": "rpm"},
+    "torque": {"mnm": "mN m", "knm": "kN m"},
+    "current": {"ma": "mA"},
+}
+
+
+def guessed_mapping(names: Sequence[str], joints: Sequence[str]) -> dict[str, Any] | None:
+    """Guess which columns are time, positions, velocities and torques, by words of their names.
+
+    **Arguments**
+
+    - `names`: of the columns.
+    - `joints`: of the robot.
+
+    **Returns** a mapping as in `docs/recordings.md`; None if there are no positions or no torques.
+
+    >>> from jaxcslc.recordings import guessed_mapping
+    >>> names = ["stamp_ms", "A1_deg_pos", "A2_deg_pos", "A1_tau", "A2_tau"]
+    >>> mapping = guessed_mapping(names, ("shoulder", "elbow"))
+    >>> mapping["time"]
+    {'columns': 'stamp_ms', 'unit': 'ms'}
+    >>> mapping["position"]
+    {'columns': ['A1_deg_pos', 'A2_deg_pos'], 'unit': 'deg'}
+    """
+    groups: dict[str, list[str]] = {}
+    mapping: dict[str, Any] = {}
+    for template, columns in _groups(names, joints).items():
+        words = _words(template)
+        kind = next((kind for kind, known in _WORDS.items() if words & known), None)
+        if kind is None and words <= _JOINT and (words or template == "{joint}"):
+            kind = "position"
+        if kind is None or words & _COMMANDED or len(columns) <= len(groups.get(kind, [])):
+            continue
+        groups[kind] = [columns[key] for key in sorted(columns)]
+        if kind == "position" and "{joint}" in template:
+            mapping["joints"] = [joints[key] for key in sorted(columns)]
+    torque = "torque" if "torque" in groups else "current"
+    times = [name for name in names if _words(name) & _TIME]
+    if not times or "position" not in groups or torque not in groups:
+        return None
+    mapping["time"] = _table(times[0], "time")
+    for kind in {"position", "velocity", torque} & groups.keys():
+        mapping["torque" if kind == torque else kind] = _table(groups[kind], kind)
+    if torque == "current":
+        mapping["torque"] = {"unit": "A", **mapping["torque"], "constant": 1.0}
+    return mapping
+
+
+def _groups(names: Sequence[str], joints: Sequence[str]) -> dict[str, dict[int, str]]:
+    """Return names that differ by a joint or a number, by what they have in common."""
+    found: dict[str, dict[int, str]] = {}
+    for name in names:
+        for position, joint in enumerate(joints):
+            if joint in name:
+                found.setdefault(name.replace(joint, "{joint}", 1), {})[position] = name
+        for number in re.finditer(r"\d+", name):
+            template = f"{name[: number.start()]}{{number}}{name[number.end() :]}"
+            found.setdefault(template, {})[int(number[0])] = name
+    return found
+
+
+def _words(name: str) -> set[str]:
+    """Return the words of a name, in small letters: those of `actualPos[0]` are actual, pos."""
+    plain = re.sub(r"\{\w+\}", " ", name)
+    return {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", plain)}
+
+
+def _units(name: str, kind: str) -> list[str]:
+    """Return the units of a quantity that a name says."""
+    return [unit for word, unit in _UNITS.get(kind, {}).items() if word in _words(name)]
+
+
+def _table(columns: str | list[str], kind: str) -> dict[str, Any]:
+    unit = next(iter(_units(columns if isinstance(columns, str) else columns[0], kind)), None)
+    return {"columns": columns} | ({} if unit is None else {"unit": unit})
+
+
+# Columns are alike with this correlation and, as a part, this error of scale: velocities and slopes
+# of positions, commanded and measured positions.
+_ALIKE, _SCALE_ERROR = 0.9, 0.1
+_SMOOTHED = 9  # samples over which both are averaged, since encoder steps hide the slope
+_TIMES = (1.0, 1e3, 1e6, 1e9)  # units of time in a second
+# Positions are twice integrated torques: a torque's steps between samples, over its range, are so
+# many times those of the positions.
+_ROUGHER = 2.0
+# Positions are beyond the file's limits by no more than this [rad or m, as a part of the limit].
+_BEYOND = 0.1
+
+_Family = Float[np.ndarray, "samples joints"]
+
+
+def mapping_by_values(
+    path: str | os.PathLike[str],
+    joints: Sequence[str],
+    limits: Sequence[tuple[float, float]],
+) -> tuple[dict[str, Any], str]:
+    """Guess which columns are time, positions, velocities and torques, by their values.
+
+    Columns of one quantity are as many as the joints, and have one name with running numbers; those
+    of a file without a header line follow each other. Time increases from row to row. Positions lie
+    within the joints' limits, and are smoother than torques; velocities are their slopes.
+
+    **Arguments**
+
+    - `path`: of the file.
+    - `joints`: of the robot.
+    - `limits`: low and high of each [rad or m]; infinite where the robot's file has none.
+
+    **Returns** a mapping as in `docs/recordings.md`, and what was assumed, in a few words.
+
+    **Raises** `RecordingError`: values that do not tell, and why.
+
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from jaxcslc.recordings import mapping_by_values
+    >>> t = 0.01 * np.arange(500.0)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = pathlib.Path(folder) / "arm.csv"
+    ...     rows = np.stack([t, np.sin(t), 9.0 * np.sin(t) + np.sign(np.cos(t))], axis=1)
+    ...     np.savetxt(path, rows, delimiter=",", header="s,a1,b1", comments="")
+    ...     mapping, _ = mapping_by_values(path, ["elbow"], [(-3.0, 3.0)])
+    >>> mapping["position"], mapping["torque"]
+    ({'columns': ['a1']}, {'columns': ['b1']})
+    """
+    names = column_names_of(path)
+    families = _families(names, len(joints))
+    if len(families) < 2:
+        raise RecordingError(
+            f"no positions and torques are found among them: expected {len(joints)} columns of each"
+            f" with running numbers, or in a row, for the joints {', '.join(joints)}"
+        )
+    time, columns = _timed(path, names, families)
+    stamps = columns["time"]
+    interval = float(stamps[-1] - stamps[0]) / (len(stamps) - 1)
+    values = {
+        name: np.stack([columns[column] for column in members], axis=1)
+        for name, members in families.items()
+    }
+    values = {name: x for name, x in values.items() if np.ptp(x, axis=0).any()}
+    kinds, assumed = _kinds(values, interval, np.array(limits, float).reshape(-1, 2))
+    mapping: dict[str, Any] = {"time": _table(time, "time")}
+    for name, (kind, of_kind) in kinds.items():
+        mapping[kind] = {"columns": families[name]} | ({} if of_kind is None else {"unit": of_kind})
+    return mapping, assumed
+
+
+def _families(names: Sequence[str], count: int) -> dict[str, list[str]]:
+    """Return runs of as many columns as joints, by what their names have in common."""
+    found: dict[str, list[str]] = {}
+    used: set[str] = set()
+    for template, columns in _groups(names, ()).items():
+        if _words(template) & _COMMANDED:
+            continue
+        numbers = sorted(number for number in columns if columns[number] not in used)
+        # A first column that is left over counts time, or rows.
+        over = len(numbers) % count
+        if len(numbers) < count or over > (1 if len(numbers) > count else 0):
+            continue
+        numbers = numbers[over:]
+        if numbers != list(range(numbers[0], numbers[0] + len(numbers))):
+            continue
+        runs = [columns[number] for number in numbers]
+        for start in range(0, len(runs), count):
+            members = runs[start : start + count]
+            used.update(members)
+            found[f"{members[0]} to {members[-1]}" if count > 1 else members[0]] = members
+    return found
+
+
+def _timed(
+    path: str | os.PathLike[str], names: Sequence[str], families: Mapping[str, list[str]]
+) -> tuple[str, dict[str, Float[np.ndarray, " samples"]]]:
+    """Return the column that increases from row to row, and the values of all families."""
+    members = list(itertools.chain.from_iterable(families.values()))
+    others = [name for name in names if name not in members]
+    others.sort(key=lambda name: not _words(name) & _TIME)
+    for name in others:
+        try:
+            return name, load_columns(path, members, time=name)
+        except RecordingError:
+            continue
+    listed = f": {', '.join(others[:8])}" if others else ", since there is none beside"
+    raise RecordingError(
+        f"no column increases from row to row, as times do, among those left{listed}"
+    )
+
+
+def _kinds(
+    values: Mapping[str, _Family], interval: float, limits: Float[np.ndarray, "joints 2"]
+) -> tuple[dict[str, tuple[str, str | None]], str]:
+    """Return the quantity and the unit of families, and what was assumed.
+
+    **Raises** `RecordingError` where the values do not tell.
+    """
+    units = {name: _angle_unit(x, limits) for name, x in values.items()}
+    slopes = {
+        (of, name)
+        for of, name in itertools.permutations(values, 2)
+        if _is_slope(values[of], values[name], interval)
+    }
+    derived = {name for _, name in slopes}
+    candidates = [name for name in values if name not in derived]
+    for first, second in itertools.combinations(candidates, 2):
+        correlation, scale = _correlation(values[first], values[second])
+        if correlation > _ALIKE and abs(scale - 1.0) < _SCALE_ERROR:
+            raise RecordingError(
+                f"{first} and {second} are alike, as commanded and measured positions are"
+            )
+    if len(candidates) < 2:
+        raise RecordingError("one quantity and its slopes are found, and no torques")
+    ordered = sorted(candidates, key=lambda name: _roughness(values[name]))
+    possible = [name for name in ordered if units[name] is not None]
+    if not possible:
+        raise RecordingError("no columns lie within the joints' limits, in radians or degrees")
+    position = possible[0]
+    if len(possible) > 1 and not _roughness(values[possible[1]]) > _ROUGHER * _roughness(
+        values[position]
+    ):
+        raise RecordingError(f"{position} and {possible[1]} may both be positions")
+    torques = [name for name in candidates if name != position]
+    if len(torques) > 1:
+        raise RecordingError(f"{' and '.join(torques)} may both be torques")
+    unit = units[position] or "rad"
+    kinds = {position: ("position", None if unit == "rad" else unit)}
+    reasons = [f"{position} lie within the joints' limits in {unit} and are smoothest"]
+    for name in (name for of, name in slopes if of == position):
+        kinds[name] = ("velocity", None if unit == "rad" else f"{unit}/s")
+        reasons.append(f"{name} are their slopes")
+    kinds[torques[0]] = ("torque", None)
+    return kinds, "; ".join([*reasons, f"{torques[0]} are what is left"])
+
+
+def _angle_unit(x: _Family, limits: Float[np.ndarray, "joints 2"]) -> str | None:
+    """Return the unit in which values lie within limits: rad, deg, or None for neither."""
+    low, high = limits.T
+    # One more turn where the file states no limits, as of joints that turn on and on.
+    high, low = (
+        np.where(np.isfinite(x), x, 2.0 * np.pi * sign) for x, sign in ((high, 1), (low, -1))
+    )
+    margin = _BEYOND * np.maximum(high - low, 1.0)
+    for unit, factor in (("rad", 1.0), ("deg", np.pi / 180.0)):
+        scaled = x * factor
+        if np.all((scaled.min(axis=0) > low - margin) & (scaled.max(axis=0) < high + margin)):
+            return unit
+    return None
+
+
+def _is_slope(x: _Family, y: _Family, interval: float) -> bool:
+    """Return whether y is the derivative of x by time, in whatever unit of time."""
+    kernel = np.full(_SMOOTHED, 1.0 / _SMOOTHED)
+    smooth = [
+        np.stack([np.convolve(column, kernel, "valid") for column in values.T], axis=1)
+        for values in (np.gradient(x, interval, axis=0), y)
+    ]
+    correlation, slope = _correlation(*smooth)
+    near = any(abs(slope / per_second - 1.0) < _SCALE_ERROR for per_second in _TIMES)
+    return correlation > _ALIKE and near
+
+
+def _correlation(x: _Family, y: _Family) -> tuple[float, float]:
+    """Return the median correlation of the columns that move, and the slope of y over x."""
+    x, y = x - x.mean(axis=0), y - y.mean(axis=0)
+    moving = (x.std(axis=0) > 0.0) & (y.std(axis=0) > 0.0)
+    if not moving.any():
+        return 0.0, 0.0
+    x, y = x[:, moving], y[:, moving]
+    both, own = np.sum(x * y, axis=0), np.sum(x**2, axis=0)
+    return float(np.median(both / np.sqrt(own * np.sum(y**2, axis=0)))), float(
+        np.median(both / own)
+    )
+
+
+def _roughness(x: _Family) -> float:
+    """Return the root mean square of steps between samples over that of the values' deviations,
+    the median of the columns that move."""
+    moving = x.std(axis=0) > 0.0
+    steps = np.sqrt(np.mean(np.diff(x, axis=0) ** 2, axis=0))[moving]
+    return float(np.median(steps / x.std(axis=0)[moving]))

@@ -1,0 +1,103 @@
+"""Guesses of columns by their values, against motions of which each column is known."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jaxcslc.recordings import (
+    RecordingError,
+    column_names_of,
+    load_recording,
+    mapping_by_values,
+)
+
+
+NAMES = ("shoulder", "elbow")
+LIMITS = ((-3.0, 3.0), (-2.0, 2.0))
+TIME = 0.004 * np.arange(1500.0)
+POSITION = np.stack([np.sin(3.0 * TIME), 1.5 * np.cos(2.0 * TIME)], axis=1)
+VELOCITY = np.stack([3.0 * np.cos(3.0 * TIME), -3.0 * np.sin(2.0 * TIME)], axis=1)
+NOISE = np.random.default_rng(0).normal(size=POSITION.shape)
+TORQUE = 5.0 * np.sin(POSITION) + 2.0 * np.sign(VELOCITY) + 0.05 * NOISE
+
+
+def written(path: Path, header: str, *columns: np.ndarray, time: np.ndarray = TIME) -> Path:
+    np.savetxt(path, np.column_stack([time, *columns]), delimiter=",", header=header, comments="")
+    return path
+
+
+@pytest.mark.parametrize("stems", [("j", "t"), ("a", "b"), ("x_", "y_")])
+def test_short_names(stems: tuple[str, str], tmp_path: Path) -> None:
+    first, second = ([f"{stem}{i}" for i in (1, 2)] for stem in stems)
+    header = ",".join(["time", *first, *second])
+    path = written(tmp_path / "log.csv", header, POSITION, TORQUE)
+    mapping, assumed = mapping_by_values(path, NAMES, LIMITS)
+    assert mapping == {
+        "time": {"columns": "time"},
+        "position": {"columns": first},
+        "torque": {"columns": second},
+    }
+    assert "within the joints' limits in rad" in assumed
+    # In another order, the other way round.
+    header = ",".join(["time", *second, *first])
+    path = written(tmp_path / "other.csv", header, TORQUE, POSITION)
+    assert mapping_by_values(path, NAMES, LIMITS)[0] == mapping
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("rad", 1.0), ("deg", 180.0 / np.pi)])
+@pytest.mark.parametrize("ticks", [1.0, 1000.0])
+def test_without_a_header(unit: str, factor: float, ticks: float, tmp_path: Path) -> None:
+    quantities = factor * POSITION, TORQUE, factor * VELOCITY
+    path = tmp_path / "log.csv"
+    np.savetxt(path, np.column_stack([ticks * TIME, *quantities]), delimiter=" ")
+    assert column_names_of(path) == tuple(f"column {i}" for i in range(1, 8))
+    mapping, _ = mapping_by_values(path, NAMES, LIMITS)
+    columns = {name: table["columns"] for name, table in mapping.items()}
+    assert columns == {
+        "time": "column 1",
+        "position": ["column 2", "column 3"],
+        "torque": ["column 4", "column 5"],
+        "velocity": ["column 6", "column 7"],
+    }
+    assert mapping["position"].get("unit", "rad") == unit
+    with pytest.raises(RecordingError, match="has no header line; expected time, position_1"):
+        load_recording(path)
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ((POSITION, POSITION + 1e-4 * NOISE), "a1 to a2 and b1 to b2 are alike"),
+        ((POSITION, TORQUE, 3.0 * TORQUE), "b1 to b2 and c1 to c2 may both be torques"),
+        ((POSITION, VELOCITY), "one quantity and its slopes"),
+        ((300.0 * POSITION, 400.0 * TORQUE), "no columns lie within the joints' limits"),
+        ((POSITION, -0.5 * POSITION), "may both be positions"),
+    ],
+)
+def test_values_that_do_not_tell(
+    columns: tuple[np.ndarray, ...], message: str, tmp_path: Path
+) -> None:
+    header = ",".join(["time", *(f"{x}{i}" for x in "abc"[: len(columns)] for i in (1, 2))])
+    path = written(tmp_path / "log.csv", header, *columns)
+    with pytest.raises(RecordingError, match=message):
+        mapping_by_values(path, NAMES, LIMITS)
+
+
+def test_columns_that_are_no_samples(tmp_path: Path) -> None:
+    header = "n,a1,a2,b1,b2"
+    still = written(tmp_path / "still.csv", header, POSITION, TORQUE, time=0.0 * TIME)
+    with pytest.raises(RecordingError, match=r"no column increases from row to row.*: n$"):
+        mapping_by_values(still, NAMES, LIMITS)
+    with pytest.raises(RecordingError, match="expected 3 columns of each"):
+        mapping_by_values(still, ("a", "b", "c"), (*LIMITS, LIMITS[0]))
+
+
+def test_first_lines_of_numbers(tmp_path: Path) -> None:
+    """Numbers that count are names, as a table without names is written; others are samples."""
+    path = tmp_path / "counted.csv"
+    path.write_text("0,1,2\n" + "".join(f"{i / 10},{i},{2 * i}\n" for i in range(6)))
+    assert column_names_of(path) == ("0", "1", "2")
+    path.write_text("# t q tau\n0 1 2\n" + "".join(f"{i + 1} {i} {i}\n" for i in range(6)))
+    assert column_names_of(path) == ("t", "q", "tau")
+    assert load_recording(path).samples == 7
