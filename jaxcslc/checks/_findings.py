@@ -35,6 +35,10 @@ class Finding:
     remedy: str
     recording: str = ""
 
+    def or_else(self, cause: str) -> "Finding":
+        """Return the finding with a second cause that the recording cannot tell from the first."""
+        return dataclasses.replace(self, cause=f"{self.cause}; or, as likely, {cause}")
+
     def __str__(self) -> str:
         where = ", ".join(part for part in (self.recording, self.kind, self.joint) if part)
         return f"{where}: {self.evidence}. Likely cause: {self.cause}. Remedy: {self.remedy}"
@@ -47,7 +51,7 @@ SPOILING_KINDS = (
     *("time unit", "angle unit", "torque unit", "sign", "swapped joints", "wrong robot"),
     *("torque scale", "zero position", "position scale", "mounting", "gravity compensation"),
     *("clock", "tool change", "contact", "unsigned torque", "wrapped angle", "stop"),
-    "constant torque",
+    *("constant torque", "length", "axis"),
 )
 """Kinds of findings that hide all others: no model explains the torque."""
 
@@ -225,6 +229,14 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
             "the base is mounted in another way than in the robot's file",
             "set gravity to {gravity} m/s² in the robot's base frame (gravity in a TOML file,"
             " with_gravity in Python; in a URDF, turn the first fixed joint)",
+        ),
+        "length": (
+            "a length of the robot's file is not the arm's: {what} than in the file",
+            "compare the joints' origins in the robot's file with the arm",
+        ),
+        "axis": (
+            "the axis of {joint} in the robot's file is not the arm's",
+            "set <axis> (or the DH rows) of {joint} to the axis that the arm turns about",
         ),
         "gravity compensation": (
             "the torques are those beyond gravity compensation: the controller subtracts a model's"

@@ -1,9 +1,10 @@
 """Torque that small faults add, as columns of first order beside the regressor's.
 
 A zero position that is off by a little adds the torque's derivative by that position, times the
-error. The scale of a position or a torque, another direction of gravity, friction that grows and a
-tool that is taken up add columns as well. `FirstOrder` holds the Gram matrices of all of them, per
-block of time and joint: a cause is a choice of columns, its held-out error a quadratic form.
+error. The scale of a position or a torque, gravity's direction, lengths of the robot's file,
+friction that grows and a tool that is taken up add columns as well. `FirstOrder` holds the Gram
+matrices of all of them, per block of time and joint: a cause is a choice of columns, its held-out
+error a quadratic form.
 """
 
 import contextlib
@@ -20,6 +21,7 @@ from ..manipulator import Manipulator, link_poses
 from ..network import CSLC
 from ..recordings import Patterns
 from ._evidence import LARGEST_ERROR, SMALLEST_ERROR, TINY, Evidence
+from ._geometry import geometry_columns
 
 
 BLOCKS = 20
@@ -118,6 +120,9 @@ class FirstOrder:
         if only is None:
             parts["motion"] = (base - torque_at(q, 0.0 * qd, 0.0 * qdd))[..., None]
             parts["payload"] = _payload_columns(network, patterns)
+        if only is None or only[0] == "length":
+            lengths = geometry_columns(network, (q, qd, qdd), base)
+            parts |= {"length": lengths} if lengths.shape[-1] else {}
         if only is None or only[0] == "gravity":
             gravity = gravity_columns(network, q)
             parts |= {} if gravity is None else {"gravity": gravity}

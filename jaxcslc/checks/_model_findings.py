@@ -1,4 +1,4 @@
-"""Causes that change the torque's model: scales, zero positions, mounting, clock, and changes.
+"""Causes that change the torque's model: scales, zeros, mounting, lengths, clock, and changes.
 
 Each cause adds columns to the regressor (`_first_order`). The best few are refined, as the columns
 hold for small faults only, and judged by the held-out errors of the recording as it would then
@@ -13,16 +13,19 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..least_squares import HostColumns, columns_of, torque_by, torque_of
-from ..network import derive
+from ..network import CSLC, derive
 from ..recordings import Patterns, Recording
 from ._causes import LEAST_GAIN, Cause, Change, removes
 from ._evidence import TINY, Evidence
 from ._findings import Finding, finding
 from ._first_order import BLOCKS, Columns, FirstOrder, Score, gravity_columns
+from ._geometry import geometry_errors
 
 
 # Smallest faults that are named: parts, and angles [rad]. Sensors and files are right within them.
 _SCALE, _ZERO, _TILT, _CLOCK, _STRETCH = 0.05, 0.02, 0.03, 0.02, 0.03
+_LENGTH = 0.01  # m, or rad of an angle between axes
+_LENGTH_ROUNDS = 3  # each takes another derivation
 # As many causes are refined.
 _REFINED = 5
 # A cause also counts if it takes away this part of the squares of one joint's error, and that is
@@ -56,11 +59,14 @@ def model_causes(evidence: Evidence) -> list[Cause]:
     ]
     if "gravity" in first.groups:
         options.append(("mounting", 0, first.group("gravity")))
+    options += _lengths(first)
     whole = first.quick()
     gains = [whole - first.quick(columns) for _, _, columns in options]
-    order = np.argsort(gains)[::-1]
+    order = [i for i in np.argsort(gains)[::-1] if gains[i] > 0.5 * LEAST_GAIN]
     causes: list[Cause] = []
-    tried = [options[i] for i in order if gains[i] > 0.5 * LEAST_GAIN][:_REFINED]
+    # Lengths are many: they have a place of their own.
+    tried = [options[i] for i in order if options[i][0] != "length"][:_REFINED]
+    tried += [options[i] for i in order if options[i][0] == "length"][:1]
     factor = _file_factor(evidence)
     if (
         np.isfinite(factor)
@@ -74,9 +80,18 @@ def model_causes(evidence: Evidence) -> list[Cause]:
     return causes
 
 
+def _lengths(first: FirstOrder) -> list[tuple[str, int, Columns]]:
+    """Return options of lengths and angles of the robot's file."""
+    if "length" not in first.groups:
+        return []
+    errors = geometry_errors(first.network)
+    return [("length", i, first.group("length", i)) for i in range(len(errors))]
+
+
 # A fault is found by its size alone from this many standard errors on; once it is mended, fewer are
 # left. (Heuristic: what the model lacks is no normal noise.)
 _CLEAR, _GONE = 5.0, 3.0
+_SAME = 0.97  # of the largest size in standard errors: causes that add the same torque
 # Zeros that are off by more [rad or m] are no fault of first order: their estimate says nothing.
 _FIRST_ORDER = 0.5
 
@@ -93,15 +108,21 @@ def significant_cause(evidence: Evidence) -> list[Finding]:
         ("clock", 0, first.group("motion")),
         *(("zero", joint, first.group("zero", joint)) for joint in joints),
         *(("scale of torque", joint, first.gains(joint)) for joint in joints),
+        *_lengths(first),
     ]
-    least = {"clock": 2.0 * _CLOCK, "zero": _ZERO, "scale of torque": _SCALE}
+    least = {"clock": 2.0 * _CLOCK, "zero": _ZERO, "scale of torque": _SCALE, "length": _LENGTH}
     found = [(*first.estimate(columns), kind, which) for kind, which, columns in options]
     found = [x for x in found if abs(x[0]) > max(least[x[2]], _CLEAR * x[1])]
     found = [x for x in found if x[2] != "zero" or abs(x[0]) < _FIRST_ORDER]
     if not found:
         return []
-    size, error, kind, which = max(found, key=lambda x: abs(x[0]) / max(x[1], TINY))
-    name, factors = evidence.network.output_names[which], np.ones(len(joints))
+    # Of causes that add the same torque, the one of recordings comes first.
+    significance = max(abs(x[0]) / max(x[1], TINY) for x in found)
+    size, error, kind, which = next(
+        x for x in found if abs(x[0]) / max(x[1], TINY) > _SAME * significance
+    )
+    network = evidence.network
+    name, factors = network.output_names[which % len(joints)], np.ones(len(joints))
     recording, certain = evidence.recording, f"{abs(size) / error:.0f} standard errors"
     if kind == "clock":
         # Torque of motion is as the square of the rate; see `_gravity_share`.
@@ -118,6 +139,10 @@ def significant_cause(evidence: Evidence) -> list[Finding]:
         shown = f"{np.degrees(-size):.3g}°" if revolute else f"{-size:.3g} m"
         text = f"positions fit the torque best less {shown}; {certain}"
         result = finding("zero position", text, name, joint=name, offset=shown)
+    elif kind == "length":
+        network, what = _with_length(evidence.network, which, size)
+        mended = recording
+        result = finding("length", f"the torque fits best if {what}; {certain}", what=what)
     else:
         if size <= -1.0:
             return []
@@ -126,14 +151,23 @@ def significant_cause(evidence: Evidence) -> list[Finding]:
         text = f"torque is {1.0 + size:.3g} times what goes with the torques of the others"
         listed = f"{name} {1.0 + size:.3g}"
         result = finding("torque scale: of some joints", f"{text}; {certain}", name, listed=listed)
-    again = FirstOrder.of(Evidence.of(evidence.network, mended, evidence.valid))
+    again = FirstOrder.of(Evidence.of(network, mended, evidence.valid))
     columns = {
         "clock": lambda: again.group("motion"),
         "zero": lambda: again.group("zero", which),
         "scale of torque": lambda: again.gains(which),
+        "length": lambda: again.group("length", which),
     }[kind]()
     rest, error = again.estimate(columns)
-    return [result] if abs(rest) < max(0.5 * least[kind], _GONE * error) else []
+    if abs(rest) >= max(0.5 * least[kind], _GONE * error):
+        return []
+    # A length of the file may add the same torque.
+    others = [x for x in found if x[2] == "length" and kind != "length"]
+    alike = [x for x in others if abs(x[0]) / max(x[1], TINY) > _SAME * significance]
+    if alike:
+        _, what = _with_length(evidence.network, alike[0][3], alike[0][0])
+        result = result.or_else(f"a length of the robot's file is not the arm's: {what}")
+    return [result]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -396,6 +430,36 @@ def _vector(values: np.ndarray) -> str:
     return f"({', '.join(f'{value:.3g}' for value in values + 0.0)})"
 
 
+def _length(trial: _Trial) -> Iterator[Cause]:
+    """Yield a length or an angle of the robot's file that is not the arm's."""
+    size, first, mended, what = 0.0, trial.first, trial.evidence, ""
+    for _ in range(_LENGTH_ROUNDS):
+        step = float(first.sizes(first.group("length", trial.which))[0])
+        size += step
+        if abs(size) < _LENGTH:
+            return
+        network, what = _with_length(trial.evidence.network, trial.which, size)
+        mended = dataclasses.replace(trial.evidence, network=network)
+        first = FirstOrder.of(mended, only=("length", trial.which))
+        if abs(step) < 0.2 * _LENGTH:
+            break
+    yield from trial.cause(
+        "length",
+        "",
+        first.score(),
+        f"the torque fits best if {what}",
+        lambda: mended,
+        what=what,
+    )
+
+
+def _with_length(network: CSLC, which: int, size: float) -> tuple[CSLC, str]:
+    """Return the network with an error of its file added, and what was, in words."""
+    error, robot = geometry_errors(network)[which], network.robot
+    what = error.described(network.output_names, robot.parents[error.joint], size)
+    return derive(error.robot(robot, size), lengths="numeric").without_load(), what
+
+
 def _drift(trial: _Trial) -> Iterator[Cause]:
     after = trial.first.score(trial.columns)
     names = np.array(trial.evidence.network.output_names)
@@ -496,6 +560,7 @@ _REFINE: dict[str, Callable[[_Trial], Iterator[Cause]]] = {
     "mounting": _mounting,
     "drift": _drift,
     "tool": _tool,
+    "length": _length,
 }
 
 

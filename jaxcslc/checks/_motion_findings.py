@@ -24,6 +24,7 @@ from ._causes import ALIKE, LEAST_GAIN, Cause, Change, removes
 from ._evidence import LARGEST_ERROR, SMALLEST_ERROR, TINY, WELL, Evidence, PriorFit
 from ._findings import Finding, finding
 from ._first_order import carried_masses
+from ._geometry import axis_causes
 from ._model_findings import file_findings, model_causes, significant_cause
 from ._sample_findings import OTHER_RATE, motionless
 from ._torque_lag import LEAST_LAG, TorqueLag, torque_lag_of
@@ -33,7 +34,8 @@ from ._torque_lag import LEAST_LAG, TorqueLag, torque_lag_of
 _BEYOND_NOISE, _UNEXPECTED = 2.0, 0.01
 # Errors of less than this part of the torque leave nothing to explain.
 _SMALL = 0.03
-# Errors of less than this part of the torque say less of a sign than friction's power does.
+# Errors of less than this part of the torque say less of a sign than friction's power does, and
+# nothing of axes.
 _LITTLE, _NO_ERROR = 0.1, 1e-9
 # Torques of this many times those of the file's masses are in another unit.
 _OTHER_UNIT = 3.0
@@ -103,6 +105,8 @@ def _likeliest(evidence: Evidence) -> Cause | None:
         or (prior is not None and _mismatched(evidence, prior).size)
     ):
         causes += _causes_in_columns(evidence, score)
+    if np.max(evidence.relative_errors) > _LITTLE:
+        causes += axis_causes(evidence)
     causes = [cause for cause in causes if cause.gain > LEAST_GAIN]
     errors = evidence.relative_errors
     if np.any(errors > np.maximum(_BEYOND_NOISE * evidence.noise, _UNEXPECTED)):
@@ -113,6 +117,8 @@ def _likeliest(evidence: Evidence) -> Cause | None:
     if lag is not None and lag.beyond(least):
         causes.append(_late(evidence, lag, interval))
     best = max(causes, key=lambda cause: cause.gain, default=None)
+    if best is not None:
+        best = _with_length(best, causes)
     unit = None if prior is None else _torque_unit(evidence, prior, score)
     if unit is not None and (best is None or unit.gain > best.gain - ALIKE):
         # That of one joint is known better by the other joints than by the file's masses.
@@ -120,6 +126,17 @@ def _likeliest(evidence: Evidence) -> Cause | None:
         same = (x for x in causes if (x.finding.kind, x.finding.joint) == (kind, joint) and joint)
         return max(same, key=lambda cause: cause.gain, default=unit)
     return best
+
+
+def _with_length(best: Cause, causes: Sequence[Cause]) -> Cause:
+    """Return the best cause; one that a length of the file equals is named before it, with it."""
+    alike = [cause for cause in causes if cause.gain > best.gain - ALIKE]
+    lengths = [cause.finding for cause in alike if cause.finding.kind == "length"]
+    others = [cause for cause in alike if cause.finding.kind in ("clock", "zero position")]
+    if not lengths or not others:
+        return best
+    other = max(others, key=lambda cause: cause.gain)
+    return dataclasses.replace(other, finding=other.finding.or_else(lengths[0].cause))
 
 
 class _Hypothesis(NamedTuple):

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._recording import RecordingError
+from .._sampling import noise_level
 from ._recording_files import column_names_of, load_columns
 
 
@@ -112,9 +113,10 @@ def _table(columns: str | list[str], kind: str) -> dict[str, Any]:
 _ALIKE, _SCALE_ERROR = 0.9, 0.1
 _SMOOTHED = 9  # samples over which both are averaged, since encoder steps hide the slope
 _TIMES = (1.0, 1e3, 1e6, 1e9)  # units of time in a second
-# Positions are twice integrated torques: a torque's steps between samples, over its range, are so
-# many times those of the positions.
+# Torques have more noise than positions, and their steps between samples are larger, as parts of
+# their deviations: by this factor.
 _ROUGHER = 2.0
+_NOISELESS = 1e-6  # part of the deviation: what formats round to
 # Positions are beyond the file's limits by no more than this [rad or m, as a part of the limit].
 _BEYOND = 0.1
 
@@ -240,15 +242,12 @@ def _kinds(
             )
     if len(candidates) < 2:
         raise RecordingError("one quantity and its slopes are found, and no torques")
-    ordered = sorted(candidates, key=lambda name: _roughness(values[name]))
-    possible = [name for name in ordered if units[name] is not None]
+    possible = [name for name in candidates if units[name] is not None]
     if not possible:
         raise RecordingError("no columns lie within the joints' limits, in radians or degrees")
-    position = possible[0]
-    if len(possible) > 1 and not _roughness(values[possible[1]]) > _ROUGHER * _roughness(
-        values[position]
-    ):
-        raise RecordingError(f"{position} and {possible[1]} may both be positions")
+    position = next((x for x in possible if _is_smoothest(x, possible, values)), None)
+    if position is None:
+        raise RecordingError(f"{' and '.join(possible)} may both be positions")
     torques = [name for name in candidates if name != position]
     if len(torques) > 1:
         raise RecordingError(f"{' and '.join(torques)} may both be torques")
@@ -302,9 +301,27 @@ def _correlation(x: _Family, y: _Family) -> tuple[float, float]:
     )
 
 
-def _roughness(x: _Family) -> float:
-    """Return the root mean square of steps between samples over that of the values' deviations,
-    the median of the columns that move."""
-    moving = x.std(axis=0) > 0.0
-    steps = np.sqrt(np.mean(np.diff(x, axis=0) ** 2, axis=0))[moving]
-    return float(np.median(steps / x.std(axis=0)[moving]))
+def _is_smoothest(name: str, names: Sequence[str], values: Mapping[str, _Family]) -> bool:
+    """Return whether one of some families is smoother than all others, as positions are."""
+    noise, steps = _roughness(values[name])
+    for other in names:
+        if other == name:
+            continue
+        more_noise, larger_steps = _roughness(values[other])
+        noisy = max(noise, more_noise) > _NOISELESS
+        if noisy and more_noise > _ROUGHER * noise:
+            continue
+        if (noisy and noise > _ROUGHER * more_noise) or larger_steps < _ROUGHER * steps:
+            return False
+    return True
+
+
+def _roughness(x: _Family) -> tuple[float, float]:
+    """Return the noise and the root mean square of steps between samples, over the deviations.
+
+    The medians of the columns that move.
+    """
+    x = x[:, x.std(axis=0) > 0.0]
+    steps = np.sqrt(np.mean(np.diff(x, axis=0) ** 2, axis=0))
+    deviation = x.std(axis=0)
+    return float(np.median(noise_level(x) / deviation)), float(np.median(steps / deviation))
