@@ -338,7 +338,9 @@ def _urdf_numbers(
     return (
         {"xyz": _numbers(body.centre_of_gravity)},
         {"value": _number(body.mass)},
-        {name: _number(tensor[index]) for name, index in zip(_FULL, TENSOR_ENTRIES, strict=True)},
+        dict(
+            zip(_FULL, _numbers([tensor[index] for index in TENSOR_ENTRIES]).split(), strict=True)
+        ),
     )
 
 
@@ -403,15 +405,15 @@ def _toml(
             a, b = ("xyz".index(moment[1]) for moment in (first, second))
             if inertia.form == "principal":
                 tensor[b, b] = tensor[a, a]
-        table["mass"] = 0.0 if "m" in zero else float(link.mass)
-        table["centre_of_gravity"] = [float(x) for x in np.asarray(link.centre_of_gravity)]
+        table["mass"] = 0.0 if "m" in zero else float(rounded(link.mass))
+        table["centre_of_gravity"] = rounded(link.centre_of_gravity).tolist()
         principal = not np.any(tensor - np.diag(np.diag(tensor)))
-        table["inertia_tensor"] = (np.diag(tensor) if principal else tensor).tolist()
+        table["inertia_tensor"] = rounded(np.diag(tensor) if principal else tensor).tolist()
         if inertia.motor:
-            table["motor_inertia"] = float(link.motor_inertia)
+            table["motor_inertia"] = float(rounded(link.motor_inertia))
         for term in ("viscous", "dry"):
             if term in stored and term in parameters.friction:
-                entry[term] = float(parameters.friction[term][i])
+                entry[term] = float(rounded(parameters.friction[term][i]))
         if i in slopes:
             entry["static_slope"] = slopes[i]
     return tomlkit.dumps(document).encode("utf-8")
@@ -438,9 +440,27 @@ def _text(attributes: Mapping[str, str]) -> str:
     return " ".join(f'{name}="{value}"' for name, value in attributes.items())
 
 
+# Digits of the largest of a body's numbers: what rotations and sums leave is smaller, and zero.
+_DIGITS = 12
+_TINY = 1e-200  # no mass, length or moment
+
+
+def rounded(values: Any) -> Float[np.ndarray, "*shape"]:
+    """Return numbers that belong together, without what is rounding next to the largest.
+
+    >>> rounded([0.25, -1.5e-27, 1 / 3]).tolist()
+    [0.25, 0.0, 0.333333333333]
+    """
+    values = np.asarray(values, float)
+    largest = float(np.max(np.abs(values), initial=0.0))
+    if not _TINY < largest < np.inf:
+        return np.where(np.isfinite(values), 0.0, values)
+    return np.asarray(np.round(values, _DIGITS - 1 - int(np.floor(np.log10(largest)))) + 0.0)
+
+
 def _number(value: Any) -> str:
-    return repr(float(value))
+    return f"{float(rounded(value)):.{_DIGITS}g}"
 
 
 def _numbers(values: Any) -> str:
-    return " ".join(_number(value) for value in np.asarray(values))
+    return " ".join(f"{value:.{_DIGITS}g}" for value in rounded(values).tolist())

@@ -34,6 +34,7 @@ from ._parameter_files import (
     STORED,
     motor_file,
     read_motor_inertias,
+    rounded,
     with_parameters,
     write_motor_inertias,
 )
@@ -271,10 +272,10 @@ class RobotExport:
         units = self.network.output_units
         names = self.network.output_names
         rows = [
-            [names[j], f"{parameters.torque_distance[j]:.3g}", f"{written.rms[j]:.1e}", units[j]]
+            [names[j], f"{parameters.torque_distance[j]:.3g}", f"{written.rms[j]:.1g}", units[j]]
             for j in range(len(units))
         ]
-        table = parameters.to_pandas()
+        table = parameters.to_pandas().apply(rounded)
         units_of = {"mass": "kg"} | {f"r{axis}": "m" for axis in "xyz"}
         table.columns = [f"{name} [{units_of.get(name, 'kg m²')}]" for name in table.columns]
         states = "the recording's motion" if self.measured else "random states"
@@ -298,7 +299,7 @@ class RobotExport:
             lines.append(f"the file has no entry for {', '.join(written.left_out)}: omitted")
         lines.append(
             f"\nwrote {written.path}; read again, it predicts the same torques to"
-            f" {np.max(written.largest):.1e} {' or '.join(dict.fromkeys(units))}"
+            f" {np.max(written.largest):.1g} {' or '.join(dict.fromkeys(units))}"
         )
         return "\n".join(lines)
 
