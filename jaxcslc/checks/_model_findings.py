@@ -43,8 +43,11 @@ _PRESENT = 0.6
 _TOUCHED, _MOST_TOUCHED, _TRIMS = 4.0, 0.4, 4
 
 
-def model_causes(evidence: Evidence) -> list[Cause]:
-    """Return causes in the model whose remedies take away most of the unexplained torque."""
+def model_causes(evidence: Evidence, *, lengths: bool = True) -> list[Cause]:
+    """Return causes in the model whose remedies take away most of the unexplained torque.
+
+    - `lengths`: whether those of the robot's file are tried.
+    """
     first = FirstOrder.of(evidence)
     before = first.score()
     joints = range(evidence.network.joint_count)
@@ -59,7 +62,7 @@ def model_causes(evidence: Evidence) -> list[Cause]:
     ]
     if "gravity" in first.groups:
         options.append(("mounting", 0, first.group("gravity")))
-    options += _lengths(first)
+    options += _lengths(first) if lengths else []
     whole = first.quick()
     gains = [whole - first.quick(columns) for _, _, columns in options]
     order = [i for i in np.argsort(gains)[::-1] if gains[i] > 0.5 * LEAST_GAIN]
@@ -96,11 +99,15 @@ _SAME = 0.97  # of the largest size in standard errors: causes that add the same
 _FIRST_ORDER = 0.5
 
 
-def significant_cause(evidence: Evidence) -> list[Finding]:
-    """Return the clock, the zero or the scale of a torque that is off beyond doubt, at most one.
+def significant_cause(evidence: Evidence, *, lengths: bool = True) -> list[Finding]:
+    """Return the fault that is there beyond doubt: a clock, zero, torque scale or length.
 
     Errors beside it may be so large that its remedy takes away little of them. It is named if its
     size is many standard errors, and if few are left of it once it is mended.
+
+    - `lengths`: whether those of the robot's file are tried.
+
+    **Returns** one finding at most.
     """
     first = FirstOrder.of(evidence)
     joints = range(evidence.network.joint_count)
@@ -108,7 +115,7 @@ def significant_cause(evidence: Evidence) -> list[Finding]:
         ("clock", 0, first.group("motion")),
         *(("zero", joint, first.group("zero", joint)) for joint in joints),
         *(("scale of torque", joint, first.gains(joint)) for joint in joints),
-        *_lengths(first),
+        *(_lengths(first) if lengths else []),
     ]
     least = {"clock": 2.0 * _CLOCK, "zero": _ZERO, "scale of torque": _SCALE, "length": _LENGTH}
     found = [(*first.estimate(columns), kind, which) for kind, which, columns in options]

@@ -77,6 +77,7 @@ def motion_findings(evidence: Evidence) -> tuple[list[Finding], Evidence, str]:
         if mended is None:
             return findings, evidence, _excitation(evidence)[1]
         evidence = mended
+    tame, excitation = _excitation(evidence)
     wrong = _wrong_robot(evidence, len(findings))
     if wrong is not None:
         # What mends one joint of another robot is chance; a common factor of torques is not.
@@ -84,14 +85,13 @@ def motion_findings(evidence: Evidence) -> tuple[list[Finding], Evidence, str]:
     if not findings:
         of_file = list(file_findings(evidence))
         another = any(found.kind == "wrong robot" for found in of_file)
-        findings += of_file if another else significant_cause(evidence) or of_file
+        findings += of_file if another else significant_cause(evidence, lengths=not tame) or of_file
     # Another clock and another gravity than those of the file's masses are another robot's.
     if not findings:
         findings += _beyond_limits(evidence)
     if not findings:
         findings += _computed_torque(evidence)
     findings += _beyond_effort(evidence)
-    tame, excitation = _excitation(evidence)
     return findings + tame, evidence, excitation
 
 
@@ -105,15 +105,17 @@ def _likeliest(evidence: Evidence) -> Cause | None:
         or (prior is not None and _mismatched(evidence, prior).size)
     ):
         causes += _causes_in_columns(evidence, score)
-    if np.max(evidence.relative_errors) > _LITTLE:
+    # Coefficients that follow any torque also follow one that is late, or of other lengths.
+    tame = bool(_excitation(evidence)[0])
+    if np.max(evidence.relative_errors) > _LITTLE and not tame:
         causes += axis_causes(evidence)
     causes = [cause for cause in causes if cause.gain > LEAST_GAIN]
     errors = evidence.relative_errors
     if np.any(errors > np.maximum(_BEYOND_NOISE * evidence.noise, _UNEXPECTED)):
-        causes += model_causes(evidence)
+        causes += model_causes(evidence, lengths=not tame)
     interval = float(np.median(np.diff(evidence.recording.time)))
     least = max(interval, LEAST_LAG)
-    lag = torque_lag_of(evidence, least)
+    lag = None if tame else torque_lag_of(evidence, least)
     if lag is not None and lag.beyond(least):
         causes.append(_late(evidence, lag, interval))
     best = max(causes, key=lambda cause: cause.gain, default=None)

@@ -425,6 +425,15 @@ def test_too_few_samples_are_called_that_and_nothing_else(
     assert "too short" in findings[0].cause
 
 
+def test_a_short_recording_has_no_lag(tmp_path: Path) -> None:
+    """The log of an example is on time; coefficients of 2.4 s of it follow any shift."""
+    assert run("example", "ur5", "-o", str(tmp_path / "arm")).exit_code == 0
+    robot = jc.load_robot(tmp_path / "arm" / "ur5.urdf")
+    log = jc.load_recording(tmp_path / "arm" / "train.csv")
+    found = jc.check(jc.derive(robot, lengths="numeric"), log.rows(slice(300))).findings
+    assert "torque lag" not in {one.kind for one in found}
+
+
 def test_one_absurd_torque_is_named_however_long_the_recording(
     arm: jc.CSLC, clean: jc.Recording
 ) -> None:
