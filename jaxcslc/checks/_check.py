@@ -246,8 +246,12 @@ def _check_one(
         found, evidence, excitation = motion_findings(evidence)
         # No robot explains a torque that was not recorded.
         unrecorded = {one.joint for one in findings if one.kind == "constant torque"}
+        found = [one for one in found if one.kind != "wrong robot" or one.joint not in unrecorded]
+        # Nor a position that was not.
+        still = ", ".join(one.joint for one in findings if one.kind == "motionless joint")
+        stuck = f"the position of {still} was not recorded: it does not change"
         findings += [
-            one for one in found if one.kind != "wrong robot" or one.joint not in unrecorded
+            one.or_else(stuck) if still and one.kind == "wrong robot" else one for one in found
         ]
     return findings, RecordingSummary.of(network, recording, name, excitation), evidence
 
