@@ -147,9 +147,9 @@ def _errors_about(
     network, patterns = evidence.network, evidence.patterns
     step = -(-patterns.samples // _MOST_ROWS)
     rows = slice(None, None, step)
-    motion = [np.asarray(x)[rows] for x in (patterns.q, patterns.qd, patterns.qdd)]
+    q, qd, qdd = (np.asarray(x)[rows] for x in (patterns.q, patterns.qd, patterns.qdd))
     torque, mask = np.asarray(patterns.torque)[rows], np.asarray(patterns.mask)[rows]
-    bodies = body_regressor(network.robot, *motion, axes)
+    bodies = body_regressor(network.robot, q, qd, qdd, axes)
     size = bodies.shape[-1]
     whole = np.zeros((*torque.shape, size + network.size))
     whole[..., :size] = bodies
@@ -165,20 +165,13 @@ def _errors_about(
     used = np.flatnonzero(np.any(whole != 0.0, axis=(0, 1)))
     whole = whole[..., used] / np.sqrt(np.mean(whole[..., used] ** 2, axis=(0, 1)))
     folds = np.arange(len(torque)) * _FOLDS // len(torque)
-    normal = [
-        np.einsum("sjp,sjq->pq", whole[folds == fold], whole[folds == fold], optimize=True)
-        for fold in range(_FOLDS)
-    ]
-    right = [
-        np.einsum("sjp,sj->p", whole[folds == fold], torque[folds == fold])
-        for fold in range(_FOLDS)
-    ]
+    parts = [(whole[folds == fold], torque[folds == fold]) for fold in range(_FOLDS)]
+    normal = np.stack([np.einsum("sjp,sjq->pq", x, x, optimize=True) for x, _ in parts])
+    right = np.stack([np.einsum("sjp,sj->p", x, y) for x, y in parts])
     squares = np.zeros(torque.shape[1])
-    for fold in range(_FOLDS):
-        others = [other for other in range(_FOLDS) if other != fold]
-        inverse = np.linalg.pinv(sum(normal[i] for i in others), _TOLERANCE, hermitian=True)
-        k = inverse @ sum(right[i] for i in others)
-        squares += np.sum((torque[folds == fold] - whole[folds == fold] @ k) ** 2, axis=0)
+    for fold, (x, y) in enumerate(parts):
+        inverse = np.linalg.pinv(normal.sum(axis=0) - normal[fold], _TOLERANCE, hermitian=True)
+        squares += np.sum((y - x @ (inverse @ (right.sum(axis=0) - right[fold]))) ** 2, axis=0)
     errors = np.sqrt(squares / np.maximum(mask.sum(axis=0), 1))
     return np.clip(errors, SMALLEST_ERROR, LARGEST_ERROR)
 

@@ -44,9 +44,17 @@ def recorded(arm: jc.Manipulator, samples: int = 4000) -> jc.Recording:
     t = 0.004 * np.arange(samples)[:, None]
     w = 2.0 * np.pi * np.array([0.21, 0.33, 0.47, 0.58])
     parts = [(1.0, w, 0.3), (0.5, 2.3 * w, 1.1)]
-    q = sum(size * np.sin(rate * t + phase) for size, rate, phase in parts)
-    qd = sum(size * rate * np.cos(rate * t + phase) for size, rate, phase in parts)
-    qdd = sum(-size * rate**2 * np.sin(rate * t + phase) for size, rate, phase in parts)
+    q, qd, qdd = np.sum(
+        [
+            (
+                size * np.sin(rate * t + phase),
+                size * rate * np.cos(rate * t + phase),
+                -size * rate**2 * np.sin(rate * t + phase),
+            )
+            for size, rate, phase in parts
+        ],
+        axis=0,
+    )
     torque = body_regressor(arm, q, qd, qdd) @ bodies.ravel() + 0.5 * qd + 0.8 * np.sign(qd)
     noise = 0.002 * torque.std(axis=0) * rng.normal(size=q.shape)
     assert network.joint_count == 4
