@@ -149,7 +149,7 @@ def _errors_about(
     rows = slice(None, None, step)
     q, qd, qdd = (np.asarray(x)[rows] for x in (patterns.q, patterns.qd, patterns.qdd))
     torque, mask = np.asarray(patterns.torque)[rows], np.asarray(patterns.mask)[rows]
-    bodies = body_regressor(network.robot, q, qd, qdd, axes)
+    bodies = body_regressor(network.robot, q, qd, qdd, axes=axes)
     size = bodies.shape[-1]
     whole = np.zeros((*torque.shape, size + network.size))
     whole[..., :size] = bodies
@@ -181,6 +181,7 @@ def body_regressor(
     q: Float[np.ndarray, "samples joints"],
     qd: Float[np.ndarray, "samples joints"],
     qdd: Float[np.ndarray, "samples joints"],
+    *,
     axes: Sequence[Float[np.ndarray, "3"]] | None = None,
 ) -> Float[np.ndarray, "samples joints parameters"]:
     """Return torque per unit of each link's mass, first moment and inertia, and motor inertias.
