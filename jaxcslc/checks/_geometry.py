@@ -16,7 +16,7 @@ from jaxtyping import Float
 from ..manipulator import Length, Manipulator
 from ..network import CSLC
 from ._causes import LEAST_GAIN, Cause, removes
-from ._evidence import LARGEST_ERROR, SMALLEST_ERROR, TINY, Evidence
+from ._evidence import LARGEST_ERROR, SMALLEST_ERROR, Evidence
 from ._findings import finding
 
 
@@ -160,7 +160,7 @@ def _errors_about(
             if index in friction:
                 whole[:, joint, size + index] = column[rows]
     scale = np.sqrt(np.where(mask, torque**2, 0.0).sum(axis=0) / np.maximum(mask.sum(axis=0), 1))
-    weight = mask / np.maximum(scale, TINY)
+    weight = np.where(mask & (scale > 0.0), 1.0 / np.where(scale > 0.0, scale, 1.0), 0.0)
     whole, torque = whole * weight[..., None], torque * weight
     used = np.flatnonzero(np.any(whole != 0.0, axis=(0, 1)))
     whole = whole[..., used] / np.sqrt(np.mean(whole[..., used] ** 2, axis=(0, 1)))

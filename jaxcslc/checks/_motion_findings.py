@@ -115,9 +115,12 @@ def _likeliest(evidence: Evidence) -> Cause | None:
         causes += model_causes(evidence, lengths=not tame)
     interval = float(np.median(np.diff(evidence.recording.time)))
     least = max(interval, LEAST_LAG)
-    lag = None if tame else torque_lag_of(evidence, least)
+    lag = torque_lag_of(evidence, least)
     if lag is not None and lag.beyond(least):
-        causes.append(_late(evidence, lag, interval))
+        late = _late(evidence, lag, interval)
+        # A lag that is there leaves no tame motion once it is mended.
+        mended = late.mended() if tame else None
+        causes += [late] if mended is None or not _excitation(mended)[0] else []
     best = max(causes, key=lambda cause: cause.gain, default=None)
     if best is not None:
         best = _with_length(best, causes)
