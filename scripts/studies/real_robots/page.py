@@ -43,7 +43,8 @@ OPENBLAS_NUM_THREADS=1 python -m scripts.studies.real_robots.study --page docs/r
 ```
 
 The recordings are not part of this repository; `--data` names the folder that holds them. An SO-101
-has position servos and no torque signal. [Its figures](servo.md) are errors of simulated positions.
+has position servos and no torque signal. [Its figures](servo_evidence.md#a-real-so-101) are errors
+of simulated positions.
 
 These are no blind tests. Three rules of `identify` were chosen after errors on these recordings had
 been seen:
