@@ -162,7 +162,7 @@ def identify_servo(
     loop from the commands, is nearest to the measured positions. Its errors count what the model
     leaves unexplained as correlated noise (sandwich estimate over blocks of seconds). Intervals of
     encoder offsets are too narrow for arms whose gears have play: they hold the true value in about
-    half of the cases (`scripts/studies/servo`).
+    two of three cases (`scripts/studies/servo`).
 
     **Arguments**
 
