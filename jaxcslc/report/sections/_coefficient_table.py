@@ -48,6 +48,8 @@ _VERDICT_TONES: dict[str, Tone] = {
     "wrong sign": "bad",
     "not determined": "bad",
 }
+# Verdicts after a number, where they are no adjectives.
+_COUNTED = {"systematic error": "with a systematic error", "wrong sign": "of the wrong sign"}
 _COLUMNS = {
     "name": Column("name", numeric=False),
     "value": Column("value"),
@@ -84,7 +86,9 @@ class CoefficientSection(AbstractSection):
         kinds = Counter(row["verdict"] for row in rows)
         well = kinds.pop("well determined", 0)
         doubtful = sum(kinds.values()) - kinds["indistinguishable from zero"]
-        others = ", ".join(f"{kinds[kind]} {kind}" for kind in _VERDICT_TONES if kinds[kind])
+        others = ", ".join(
+            f"{kinds[kind]} {_COUNTED.get(kind, kind)}" for kind in _VERDICT_TONES if kinds[kind]
+        )
         yield Message(
             f"{well} of {counted(len(rows), 'coefficient')} well determined"
             + (f"; {others}." if others else ".")
