@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser,
         lambda: _study(rows, jobs, missing, folder, options.jobs),
         rows.path,
-        seconds=0.7 * len(missing) * 2.0 / max(min(options.jobs, 2), 1) + 5.0,
+        seconds=6.0 * len(missing) / max(min(options.jobs, 2), 1) + 5.0,
     )
 
 
@@ -140,7 +140,7 @@ def _is_right(found: Finding, case: Spoilt, network: jc.CSLC) -> bool:
 def _identified(network: jc.CSLC, case: Spoilt) -> jc.Report | None:
     """Return the report of a recording; None if one line says why there is none."""
     try:
-        return jc.identify(network, case.recordings[0], settings=jc.Settings(), possible="never")
+        return jc.identify(network, case.recordings[0], possible="never")
     except ValueError:
         return None
 
