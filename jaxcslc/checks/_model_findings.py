@@ -24,7 +24,7 @@ from ._geometry import geometry_errors
 
 # Smallest faults that are named: parts, and angles [rad]. Sensors and files are right within them.
 _SCALE, _ZERO, _TILT, _CLOCK, _STRETCH = 0.05, 0.02, 0.03, 0.02, 0.03
-_LENGTH = 0.01  # m, or rad of an angle between axes
+_LENGTH = 0.01  # m; an angle between axes is as `_TILT`
 _LENGTH_ROUNDS = 3  # each takes another derivation
 # As many causes are refined.
 _REFINED = 5
@@ -117,7 +117,9 @@ def significant_cause(evidence: Evidence, *, lengths: bool = True) -> list[Findi
         *(("scale of torque", joint, first.gains(joint)) for joint in joints),
         *(_lengths(first) if lengths else []),
     ]
-    least = {"clock": 2.0 * _CLOCK, "zero": _ZERO, "scale of torque": _SCALE, "length": _LENGTH}
+    least = {"clock": 2.0 * _CLOCK, "zero": _ZERO, "scale of torque": _SCALE}
+    # Lengths are many, and other errors pass for small ones of them.
+    least["length"] = 2.0 * max(_LENGTH, _TILT)
     found = [(*first.estimate(columns), kind, which) for kind, which, columns in options]
     found = [x for x in found if abs(x[0]) > max(least[x[2]], _CLEAR * x[1])]
     found = [x for x in found if x[2] != "zero" or abs(x[0]) < _FIRST_ORDER]
@@ -440,15 +442,16 @@ def _vector(values: np.ndarray) -> str:
 def _length(trial: _Trial) -> Iterator[Cause]:
     """Yield a length or an angle of the robot's file that is not the arm's."""
     size, first, mended, what = 0.0, trial.first, trial.evidence, ""
+    least = _TILT if geometry_errors(mended.network)[trial.which].is_angle else _LENGTH
     for _ in range(_LENGTH_ROUNDS):
         step = float(first.sizes(first.group("length", trial.which))[0])
         size += step
-        if abs(size) < _LENGTH:
+        if abs(size) < least:
             return
         network, what = _with_length(trial.evidence.network, trial.which, size)
         mended = dataclasses.replace(trial.evidence, network=network)
         first = FirstOrder.of(mended, only=("length", trial.which))
-        if abs(step) < 0.2 * _LENGTH:
+        if abs(step) < 0.2 * least:
             break
     yield from trial.cause(
         "length",
