@@ -64,7 +64,7 @@ def test_names_are_defined_where_they_are_used(tmp_path: Path) -> None:
 def test_robots_are_as_the_page_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
-    exec(blocks("robots.md", "python")[1], names)
+    exec(blocks("robots.md", "python")[0], names)
     load = jc.load_robot
     assert load("arms.xml", tip=["left hand", "right arm"]).parents == (-1, 0, 1, 0)
     assert load("arms.xml", fix="* hand").joint_names == ("waist", "left elbow", "right elbow")
