@@ -262,16 +262,18 @@ def _stops(recording: Recording) -> Found:
         extent = float(np.ptp(column))
         if extent < 100.0 * near or extent <= TINY:
             continue
+        near = max(float(near), _EXACT * extent)
         bend = column[2 * reach :] - 2.0 * column[reach:-reach] + column[: -2 * reach]
         usual = float(np.quantile(np.abs(bend), 0.98)) / (reach * interval) ** 2
         for end, word in ((float(column.max()), "highest"), (float(column.min()), "lowest")):
             at_end = np.abs(column - end) <= near
             starts, stops = _runs(at_end)
             held = (stops - starts >= kept) & (starts > reach + 1)
-            before = column[np.maximum(starts - 1, 0)] - column[np.maximum(starts - 1 - reach, 0)]
-            # Stopped within the tolerance.
-            fast = (before / (reach * interval)) ** 2 / (2.0 * near) > _DECELERATION * usual
-            events = int(np.sum(held & fast))
+            events = sum(
+                _deceleration(np.abs(column[start - reach - 1 : start + 1] - end), near, interval)
+                > _DECELERATION * usual
+                for start in starts[held]
+            )
             if events >= _STOPS or (events == 1 and np.sum(held) == 1 and at_end.mean() > _LONG):
                 text = (
                     f"its motion ends suddenly at its {word} position, {end:.4g} rad or m,"
@@ -281,7 +283,29 @@ def _stops(recording: Recording) -> Found:
                 break
 
 
+_EXACT = 1e-4  # of its range, where a position has neither steps nor noise
 _LONG = 0.03  # part of the samples at a stop that is reached once
+# Distances from the end, in tolerances, over which a deceleration is estimated.
+_DISTANCES = np.array([4.0, 11.0, 30.0, 100.0, 300.0])
+
+
+def _deceleration(distance: Float[np.ndarray, " samples"], near: float, interval: float) -> float:
+    """Return the constant deceleration that explains how soon a joint came to rest at an end.
+
+    From distance d, it lasts √(2 d / a). Friction ends motion by the decelerations of the other
+    motion. A stop ends it sooner, whatever the distance that is looked at.
+
+    - `distance`: from the end, at the samples before it is reached, the last within `near`.
+    - `near`: distance that counts as the end.
+    - `interval`: between samples [s].
+    """
+    away = np.maximum.accumulate(distance[::-1])
+    far = _DISTANCES[_DISTANCES * near <= away[-1]]
+    if far.size == 0:
+        return 0.0
+    times = interval * np.interp(near * np.append(1.0, far), away, np.arange(away.size))
+    lasted = np.maximum(times[1:] - times[0], TINY)
+    return float(np.max(2.0 * near * ((np.sqrt(far) - 1.0) / lasted) ** 2))
 
 
 def _runs(marked: Bool[np.ndarray, " samples"]) -> tuple[np.ndarray, np.ndarray]:

@@ -266,6 +266,14 @@ class Evidence:
         return self.errors(self.patterns, self._columns)
 
     @cached_property
+    def training_errors(self) -> Float[np.ndarray, " joints"]:
+        """Error of each joint that `fit` leaves, as part of its torque's root mean square."""
+        mask, torque = np.asarray(self.patterns.mask), np.asarray(self.patterns.torque)
+        counts = np.maximum(mask.sum(axis=0), 1)
+        size = np.sqrt(np.where(mask, torque**2, 0.0).sum(axis=0) / counts)
+        return np.asarray(self.fit.torque_error) / np.maximum(size, TINY)
+
+    @cached_property
     def noise(self) -> Float[np.ndarray, " joints"]:
         """White noise of the torques, low-passed, as part of each torque's root mean square."""
         interval = float(np.median(np.diff(self.recording.time)))

@@ -393,8 +393,10 @@ def _wrong_robot(evidence: Evidence, mended: int) -> Finding | None:
     """
     names, prior = np.array(evidence.network.output_names), evidence.prior
     # Errors as part of the torque, less what its white noise explains.
-    noise = evidence.noise
-    errors = np.sqrt(np.maximum(evidence.relative_errors**2 - noise**2, 0.0))
+    # Of tame motion, coefficients explain what they were fitted to and little else.
+    tame = bool(_excitation(evidence)[0])
+    left = evidence.training_errors if tame else evidence.relative_errors
+    errors = np.sqrt(np.maximum(left**2 - evidence.noise**2, 0.0))
     texts: list[str] = []
     bad, off = (
         np.flatnonzero(errors > (_UNEXPLAINED if mended < 2 else _STILL_UNEXPLAINED)),
@@ -473,10 +475,7 @@ def _computed_torque(evidence: Evidence) -> list[Finding]:
 def _excitation(evidence: Evidence) -> tuple[list[Finding], str]:
     """Check whether the motion is enough for the coefficients, and describe it in a sentence."""
     network, patterns, fit = evidence.network, evidence.patterns, evidence.fit
-    mask, torque = np.asarray(patterns.mask), np.asarray(patterns.torque)
-    counts = np.maximum(mask.sum(axis=0), 1)
-    size = np.maximum(np.sqrt(np.where(mask, torque**2, 0.0).sum(axis=0) / counts), TINY)
-    training = np.clip(np.asarray(fit.torque_error) / size, SMALLEST_ERROR, LARGEST_ERROR)
+    training = np.clip(evidence.training_errors, SMALLEST_ERROR, LARGEST_ERROR)
     gap = evidence.score(patterns) - float(np.mean(np.log(training)))
     rank, duration = int(fit.rank), float(evidence.time[-1] - evidence.time[0])
     text = (

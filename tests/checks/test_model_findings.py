@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
+import sim
 from jaxcslc.checks._causes import Change, removes
 from jaxcslc.checks._channel_findings import Channels
 from jaxcslc.checks._evidence import Evidence
@@ -173,6 +174,16 @@ def test_slow_motion_of_coarse_encoders_is_no_fault(name: str, seed: int) -> Non
     assert not jc.check(arm(name).network, recording).findings
 
 
+def test_a_short_recording_is_no_other_robot() -> None:
+    """Of tame motion, held-out errors are large whatever the robot is."""
+    machine = sim.puma_a()
+    trajectory = sim.training(samples=1500, robot=machine.robot)
+    recording, _ = sim.simulate(machine, trajectory, seed=1)
+    network = jc.derive(machine.robot)
+    kinds = {found.kind for found in jc.check(network, recording).findings}
+    assert not kinds & {"wrong robot", "stop"}
+
+
 def test_torques_at_the_end_of_a_sensor(network: jc.CSLC) -> None:
     run = record(ARM, Conditions(duration=16.0), SEED)
     torque = run.recording.torque - run.noise
@@ -227,6 +238,14 @@ class TestChannels:
     def test_stop(self) -> None:
         stopped = np.minimum(self.motion, np.array([1.2, 9.0]))
         assert self.kinds(stopped, self.torque) == [("stop", "a")]
+
+    def test_friction_that_ends_motion_is_no_stop(self) -> None:
+        """It decelerates by as much as before, however fast the joint was 30 ms ago."""
+        s = np.clip(np.abs(self.time % 2.0 - 1.0) - 0.25, 0.0, 0.5)  # there, held, back, held
+        swing = 10.0 * np.where(s < 0.25, s**2, 0.125 - (0.5 - s) ** 2)
+        noise = np.random.default_rng(0).normal(scale=5e-5, size=self.motion.shape)
+        swinging = np.stack([swing, self.motion[:, 1]], axis=1) + noise
+        assert self.kinds(swinging, self.torque) == []
 
     def test_samples_in_microseconds(self) -> None:
         few = slice(0, 300)  # of a clock in seconds that was taken for milliseconds
