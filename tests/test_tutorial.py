@@ -4,6 +4,7 @@ import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,10 +23,10 @@ ELSEWHERE = "jaxcslc excite"
 def steps() -> Iterator[tuple[str, str]]:
     """Commands, and the texts that follow them."""
     command = ""
-    for kind, block in re.findall(r"```(sh|text)\n(.*?)```", PAGE, re.DOTALL):
-        if kind == "sh":
-            command = block
-        else:
+    for kind, block in re.findall(r"```(sh|text|python)\n(.*?)```", PAGE, re.DOTALL):
+        if kind != "text":
+            command = block if kind == "sh" else ""
+        elif command:
             yield command, block
 
 
@@ -77,7 +78,9 @@ def test_the_tutorial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         shown = printed[command] + spoilt * (" check " in command)
         for line in text.splitlines():
             assert is_shown(line, shown.splitlines()), line
-    names: dict[str, np.ndarray] = {}
-    (program,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    exec(compile(program, "tutorial.md", "exec"), names)
+    names: dict[str, Any] = {}
+    comparison, prediction = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    exec(compile(comparison, "tutorial.md", "exec"), names)
+    assert f"{names['inside']} of {len(names['truth'])} true values" in PAGE
+    exec(compile(prediction, "tutorial.md", "exec"), names)
     assert np.all(np.isfinite(names["torque"]))

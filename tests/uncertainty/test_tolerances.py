@@ -168,7 +168,7 @@ def test_a_report_says_how_far_and_keeps_the_standard_error(
     )
     report = jc.identify(network, recording, settings=jc.Settings(), possible="never", checks=False)
     assert set(report.systematic.within) == {TORQUE_SCALE, CLOCK, ZEROS, SHOWN_SCALE}
-    assert "An error of the torque scale cannot be excluded." in report.verdict
+    assert "nothing would show a larger error." in report.verdict
     row = report["kv1"]
     assert row["standard_error"] == float(report.fit.standard_error[network.names.index("kv1")])
     part = report.systematic.parts[TORQUE_SCALE][network.names.index("kv1")]

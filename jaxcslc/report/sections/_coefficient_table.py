@@ -10,7 +10,7 @@ import numpy as np
 from jaxcslc._environment import as_jax
 from jaxcslc._text_table import number_text
 from jaxcslc.least_squares import Identification
-from jaxcslc.uncertainty import SHOWN_SCALE, SystematicError
+from jaxcslc.uncertainty import SHOWN_SCALE, TORQUE_SCALE, SystematicError
 
 from .._charts import MatrixChart
 from .._coefficients import coefficient_text, legend_text, readable
@@ -134,14 +134,21 @@ class CoefficientSection(AbstractSection):
 def _scale_statement(systematic: SystematicError | None) -> str:
     """Return a sentence on an error of the torque scale, if only a tolerance bounds it.
 
-    >>> _scale_statement(SystematicError({}, {"torque scale shown": "± 40 %"}))
-    ' An error of the torque scale of up to ± 40 % cannot be excluded.'
+    >>> within = {"torque scale": "± 6 %", "torque scale shown": "± 40 %"}
+    >>> _scale_statement(SystematicError({}, within)).partition(": ")[2]
+    "the masses of the robot's file would show an error only beyond ± 40 %."
     """
     shown = None if systematic is None else systematic.within.get(SHOWN_SCALE)
-    if shown is None:
+    if systematic is None or shown is None:
         return ""
-    size = "" if shown == "nothing" else f" of up to {shown}"
-    return f" An error of the torque scale{size} cannot be excluded."
+    return (
+        f" The intervals take the torque scale as right to {systematic.within[TORQUE_SCALE]}: "
+        + (
+            "nothing would show a larger error."
+            if shown == "nothing"
+            else f"the masses of the robot's file would show an error only beyond {shown}."
+        )
+    )
 
 
 class SystematicSection(AbstractSection):
