@@ -174,15 +174,19 @@ class Evidence:
         network: CSLC,
         recording: Recording,
         valid: Bool[np.ndarray, "samples joints"] | None = None,
+        cutoff: float | None = None,
     ) -> "Evidence":
-        """Low-pass and thin out a recording; **raises** `ValueError` if it is too short."""
+        """Low-pass and thin out a recording; **raises** `ValueError` if it is too short.
+
+        - `cutoff`: of the low pass [Hz]; by the noise of the positions if None.
+        """
         valid = np.ones(recording.position.shape, bool) if valid is None else valid
         recording, valid = _window(recording, valid)
         # From zero on: a tenth of a microsecond is lost in seconds since 1970.
         recording = dataclasses.replace(recording, time=recording.time - recording.time[0])
         recording, valid = _uniform(recording, valid)
         interval = float(np.median(np.diff(recording.time)))
-        cutoff = _cutoff(recording, interval)
+        cutoff = _cutoff(recording, interval) if cutoff is None else cutoff
         preparation = Preparation(Butterworth(cutoff), smooth_torque=True, threshold_fraction=SLOW)
         patterns = preparation.patterns(recording)
         # A motion that does not begin and end at rest leaves errors of filters at both ends.

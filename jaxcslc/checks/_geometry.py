@@ -95,7 +95,9 @@ def geometry_columns(
     - `motion`: positions, velocities and accelerations.
     - `torque`: of rigid bodies, by a fit to the file's geometry.
     """
-    robot = network.robot
+    robot, errors = network.robot, geometry_errors(network)
+    if not errors:
+        return np.zeros((*torque.shape, 0))
     nominal = body_regressor(robot, *motion)
     rows = nominal.reshape(-1, nominal.shape[-1])
     scale = np.maximum(np.sqrt(np.mean(rows**2, axis=0)), 1e-12)
@@ -104,9 +106,9 @@ def geometry_columns(
     parameters = inverse @ ((rows / scale).T @ torque.ravel()) / scale
     columns = [
         (body_regressor(error.robot(robot, _STEP), *motion) - nominal) @ parameters / _STEP
-        for error in geometry_errors(network)
+        for error in errors
     ]
-    return np.stack(columns, axis=-1) if columns else np.zeros((*torque.shape, 0))
+    return np.stack(columns, axis=-1)
 
 
 def axis_causes(evidence: Evidence) -> list[Cause]:

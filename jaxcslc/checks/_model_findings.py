@@ -94,6 +94,9 @@ def _lengths(first: FirstOrder) -> list[tuple[str, int, Columns]]:
 # A fault is found by its size alone from this many standard errors on; once it is mended, fewer are
 # left. (Heuristic: what the model lacks is no normal noise.)
 _CLEAR, _GONE = 5.0, 3.0
+# A fault has one size, whatever the low pass. What noise of the accelerations passes for shrinks to
+# less than half if the cut-off is halved. (Heuristic: a third is between the two.)
+_COARSER, _CHANGED = 0.5, 1.0 / 3.0
 _SAME = 0.97  # of the largest size in standard errors: causes that add the same torque
 # Zeros that are off by more [rad or m] are no fault of first order: their estimate says nothing.
 _FIRST_ORDER = 0.5
@@ -131,6 +134,22 @@ def significant_cause(evidence: Evidence, *, lengths: bool = True) -> list[Findi
         x for x in found if abs(x[0]) / max(x[1], TINY) > _SAME * significance
     )
     network = evidence.network
+
+    def estimated(others: Evidence) -> tuple[float, float]:
+        first = FirstOrder.of(others)
+        return first.estimate(
+            {
+                "clock": lambda: first.group("motion"),
+                "zero": lambda: first.group("zero", which),
+                "scale of torque": lambda: first.gains(which),
+                "length": lambda: first.group("length", which),
+            }[kind]()
+        )
+
+    coarser = Evidence.of(network, evidence.recording, evidence.valid, _COARSER * evidence.cutoff)
+    same, doubt = estimated(coarser)
+    if abs(same - size) > max(_CHANGED * abs(size), _GONE * doubt):
+        return []
     name, factors = network.output_names[which % len(joints)], np.ones(len(joints))
     recording, certain = evidence.recording, f"{abs(size) / error:.0f} standard errors"
     if kind == "clock":
@@ -160,14 +179,7 @@ def significant_cause(evidence: Evidence, *, lengths: bool = True) -> list[Findi
         text = f"torque is {1.0 + size:.3g} times what goes with the torques of the others"
         listed = f"{name} {1.0 + size:.3g}"
         result = finding("torque scale: of some joints", f"{text}; {certain}", name, listed=listed)
-    again = FirstOrder.of(Evidence.of(network, mended, evidence.valid))
-    columns = {
-        "clock": lambda: again.group("motion"),
-        "zero": lambda: again.group("zero", which),
-        "scale of torque": lambda: again.gains(which),
-        "length": lambda: again.group("length", which),
-    }[kind]()
-    rest, error = again.estimate(columns)
+    rest, error = estimated(Evidence.of(network, mended, evidence.valid))
     if abs(rest) >= max(0.5 * least[kind], _GONE * error):
         return []
     # A length of the file may add the same torque.
