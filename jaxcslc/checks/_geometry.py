@@ -24,6 +24,7 @@ _STEP = 1e-4  # of finite differences [m or rad]
 _TOLERANCE = 1e-10  # of singular values that count: parameters that no motion shows are none
 _FOLDS, _MOST_ROWS = 5, 1000  # of the search for axes
 _Z = np.array([0.0, 0.0, 1.0])
+_CHANGED = "changed"  # name of a length that the file has as zero
 
 Samples3 = Float[np.ndarray, "samples 3"]
 
@@ -59,7 +60,12 @@ class GeometryError(NamedTuple):
         """Return the robot with the error [m or rad] added to its file's value."""
         joint = robot.joints[self.joint]
         old = getattr(joint, self.parameter)
-        new = old + size if self.is_angle else Length(float(old.value or 0.0) + size, old.symbol)
+        if self.is_angle:
+            new = old + size
+        else:
+            # A name of its own for what was zero: that of its row may be another length's.
+            name = _CHANGED if old.is_zero else old.symbol
+            new = Length(float(old.value or 0.0) + size, name)
         joints = list(robot.joints)
         joints[self.joint] = dataclasses.replace(joint, **{self.parameter: new})
         return dataclasses.replace(robot, joints=tuple(joints), numbering=None)

@@ -85,6 +85,17 @@ def test_a_prismatic_joint_moves_along_its_axis() -> None:
     assert torque[0] == pytest.approx(11.81)
 
 
+@pytest.mark.parametrize("arm", [jc.puma560(), jc.panda()])
+def test_named_lengths_keep_their_names(arm: jc.Manipulator) -> None:
+    """A length that the file has as zero is not called by the name of another."""
+    network = jc.derive(arm)
+    q, qd, qdd = motion(arm.joint_count, 20)
+    torque = np.random.default_rng(0).normal(size=q.shape)
+    columns = geometry_columns(network, (q, qd, qdd), torque)
+    assert columns.shape == (*q.shape, len(geometry_errors(network)))
+    assert np.all(np.isfinite(columns))
+
+
 def test_columns_are_the_torque_of_small_errors() -> None:
     """Against the exact equations of the robot with another length or angle."""
     arm = robot()
