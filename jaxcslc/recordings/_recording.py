@@ -452,8 +452,9 @@ def without_repetition(recording: Recording) -> Recording:
     lag = np.arange(len(values)) - first[number]
     starts = np.flatnonzero(np.diff(lag, prepend=-1) != 0)
     lengths = np.diff(starts, append=len(lag))
-    repeats = np.repeat((lag[starts] > 0) & (lengths >= _REPEATED_ROWS), lengths)
-    repeats &= np.all(values == values[first[number]], axis=1)
+    repeats = np.zeros(len(values), bool)
+    for start in starts[(lag[starts] > 0) & (lengths >= _REPEATED_ROWS)]:
+        repeats[_repetition(values, int(start), int(lag[start]))] = True
     count = int(np.sum(repeats))
     if count == 0:
         return recording
@@ -467,6 +468,21 @@ def without_repetition(recording: Recording) -> Recording:
     )
     time = recording.time[0] + np.cumsum(np.where(repeats, 0.0, intervals))[~repeats]
     return dataclasses.replace(kept, time=time, notes=(*kept.notes, note))
+
+
+def _repetition(values: Float[np.ndarray, "samples columns"], row: int, lag: int) -> slice:
+    """Return the rows around one that are those of `lag` rows before.
+
+    Rows that are alike, as at rest, are among them.
+    """
+    if not np.array_equal(values[row], values[row - lag]):  # equal hashes by chance
+        return slice(row, row)
+    start, stop = row, row + 1
+    while start > lag and np.array_equal(values[start - 1], values[start - 1 - lag]):
+        start -= 1
+    while stop < len(values) and np.array_equal(values[stop], values[stop - lag]):
+        stop += 1
+    return slice(start, stop)
 
 
 def _values(recording: Recording) -> Float[np.ndarray, "samples columns"]:

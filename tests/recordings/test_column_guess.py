@@ -101,3 +101,17 @@ def test_first_lines_of_numbers(tmp_path: Path) -> None:
     path.write_text("# t q tau\n0 1 2\n" + "".join(f"{i + 1} {i} {i}\n" for i in range(6)))
     assert column_names_of(path) == ("t", "q", "tau")
     assert load_recording(path).samples == 7
+
+
+def test_torques_within_the_limits_are_no_positions(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Where positions are in encoder ticks, and joints carry little."""
+    time = 0.01 * np.arange(1000.0)
+    position = np.stack([np.sin(time), np.cos(1.3 * time)], axis=1)
+    torque = 1.5 * position + 0.02 * rng.standard_normal(position.shape)
+    columns = np.column_stack([time, np.round(650.0 * position), torque])
+    path = tmp_path / "ticks.csv"
+    np.savetxt(path, columns, delimiter=",", header="t,a1,a2,b1,b2", comments="")
+    with pytest.raises(RecordingError, match="b1 to b2 lie within the joints' limits, and a1"):
+        mapping_by_values(path, ["x", "y"], [(-3.0, 3.0)] * 2)

@@ -207,6 +207,15 @@ def test_stretches_that_repeat_are_omitted_and_time_closes(rng: np.random.Genera
     )
 
 
+def test_a_repeated_log_is_omitted_whole_with_its_dwells(rng: np.random.Generator) -> None:
+    """Rows at rest are all alike, and those of the second time belong to its motion."""
+    motion = rng.standard_normal((60, 2))
+    dwell = np.zeros((40, 2))
+    once = np.concatenate([motion[:30], dwell, motion[30:], dwell + 1.0])
+    again = without_repetition(sampled(np.concatenate([once, once])))
+    np.testing.assert_array_equal(again.position, once)
+
+
 @pytest.mark.parametrize("kind", ["new noise", "single rows", "at rest", "one column differs"])
 def test_what_only_looks_like_repetition_stays(kind: str, rng: np.random.Generator) -> None:
     second = np.sin(np.arange(100.0))[:, None] * [1.0, 2.0]

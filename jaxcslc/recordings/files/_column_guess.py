@@ -120,6 +120,8 @@ _NOISELESS = 1e-6  # part of the deviation: what formats round to
 # Positions are beyond the file's limits by no more than this [rad or m, as a part of the limit].
 _BEYOND = 0.1
 
+_UNNAMED = "column {number}"  # what columns of files without a header line are called
+
 _Family = Float[np.ndarray, "samples joints"]
 
 
@@ -186,8 +188,10 @@ def _families(names: Sequence[str], count: int) -> dict[str, list[str]]:
         if _words(template) & _COMMANDED:
             continue
         numbers = sorted(number for number in columns if columns[number] not in used)
-        # A first column that is left over counts time, or rows.
+        # Of a file without names, a first column that is left over counts time, or rows.
         over = len(numbers) % count
+        if over and template != _UNNAMED:
+            continue
         if len(numbers) < count or over > (1 if len(numbers) > count else 0):
             continue
         numbers = numbers[over:]
@@ -245,9 +249,15 @@ def _kinds(
     possible = [name for name in candidates if units[name] is not None]
     if not possible:
         raise RecordingError("no columns lie within the joints' limits, in radians or degrees")
-    position = next((x for x in possible if _is_smoothest(x, possible, values)), None)
+    position = next((x for x in possible if _is_smoothest(x, candidates, values)), None)
     if position is None:
-        raise RecordingError(f"{' and '.join(possible)} may both be positions")
+        others = [name for name in candidates if name not in possible]
+        within = " and ".join(possible)
+        raise RecordingError(
+            f"{within} lie within the joints' limits, and {' and '.join(others)} are as smooth"
+            if others
+            else f"{within} may both be positions"
+        )
     torques = [name for name in candidates if name != position]
     if len(torques) > 1:
         raise RecordingError(f"{' and '.join(torques)} may both be torques")
