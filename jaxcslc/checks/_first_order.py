@@ -30,8 +30,8 @@ _FOLDS = 5  # a fold is every fifth block
 _STEP = 1e-4  # of finite differences [rad or m, or as a part]
 _LEAST_LEFT = 1e-8  # part of a column's squares that others leave, below which it says nothing
 _TOLERANCE = 1e-12  # of eigenvalues of scaled normal equations that count
-# Of scaled normal equations that are solved without eigenvalues, in a tenth of the time: all of
-# them count, and rounding is below a millionth of the solution.
+# Of scaled normal equations that are solved without eigenvalues, in a fiftieth of the time: all of
+# these count then, and rounding, 2e-16 times this, is below a millionth of the solution.
 _LARGEST_CONDITION = 1e8
 
 

@@ -1,18 +1,19 @@
 """Errors of a robot file's lengths and axes: the torque that small ones add, and other axes.
 
-Torque is linear in ten inertial parameters of each link, whatever the lengths: Newton and Euler's
-equations in the frames of the modified Denavit-Hartenberg parameters (`manipulator`).
+Torque is linear in ten inertial parameters of each link, whatever the lengths: `body_regressor` has
+them all, by Newton and Euler's equations (`derivation`), where a network has base parameters alone.
 `_first_order` takes the columns of small errors, and `_model_findings` names them. `axis_causes`
 tries whole other axes.
 """
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from ..derivation import BODY, Chain, LinkFrame, NewtonEuler, link_frames
 from ..manipulator import Length, Manipulator
 from ..network import CSLC
 from ._causes import LEAST_GAIN, Cause, removes
@@ -23,10 +24,9 @@ from ._findings import finding
 _STEP = 1e-4  # of finite differences [m or rad]
 _TOLERANCE = 1e-10  # of singular values that count: parameters that no motion shows are none
 _FOLDS, _MOST_ROWS = 5, 1000  # of the search for axes
-_Z = np.array([0.0, 0.0, 1.0])
 _CHANGED = "changed"  # name of a length that the file has as zero
-
-Samples3 = Float[np.ndarray, "samples 3"]
+# Cosines and sines of 0, 90 and -90 degrees.
+_STRAIGHT, _QUARTER, _BACK = (1, 0), (0, 1), (0, -1)
 
 
 class GeometryError(NamedTuple):
@@ -41,7 +41,7 @@ class GeometryError(NamedTuple):
 
     @property
     def is_angle(self) -> bool:
-        """Whether it is in rad."""
+        """Whether the parameter is an angle."""
         return self.parameter == "alpha"
 
     def described(self, names: Sequence[str], parent: int, size: float) -> str:
@@ -69,6 +69,19 @@ class GeometryError(NamedTuple):
         joints = list(robot.joints)
         joints[self.joint] = dataclasses.replace(joint, **{self.parameter: new})
         return dataclasses.replace(robot, joints=tuple(joints), numbering=None)
+
+
+class OtherAxis(NamedTuple):
+    """An axis of a joint at right angles to the file's, in the frame that it turns.
+
+    - `joint`: from 0, a revolute one.
+    - `axis`: `"x"` or `"y"` at the joint's zero position.
+    - `sign`: 1 or -1, of the direction in which the joint counts.
+    """
+
+    joint: int
+    axis: str
+    sign: int
 
 
 def geometry_errors(network: CSLC) -> list[GeometryError]:
@@ -104,14 +117,15 @@ def geometry_columns(
     robot, errors = network.robot, geometry_errors(network)
     if not errors:
         return np.zeros((*torque.shape, 0))
-    nominal = body_regressor(robot, *motion)
+    q, qd, qdd = motion
+    nominal = body_regressor(robot, q, qd, qdd)
     rows = nominal.reshape(-1, nominal.shape[-1])
     scale = np.maximum(np.sqrt(np.mean(rows**2, axis=0)), 1e-12)
     # Of the normal equations: their eigenvalues are squares of singular values.
     inverse = np.linalg.pinv((rows / scale).T @ (rows / scale), _TOLERANCE, hermitian=True)
     parameters = inverse @ ((rows / scale).T @ torque.ravel()) / scale
     columns = [
-        (body_regressor(error.robot(robot, _STEP), *motion) - nominal) @ parameters / _STEP
+        (body_regressor(error.robot(robot, _STEP), q, qd, qdd) - nominal) @ parameters / _STEP
         for error in errors
     ]
     return np.stack(columns, axis=-1)
@@ -127,14 +141,12 @@ def axis_causes(evidence: Evidence) -> list[Cause]:
     network, robot = evidence.network, evidence.network.robot
     if network.joint_count != robot.joint_count or not robot.has_all_lengths:
         return []
-    before = _errors_about(evidence, [_Z] * robot.joint_count)
+    before = _errors_about(evidence)
     causes: list[Cause] = []
     for joint in np.flatnonzero([kind == "R" for kind in robot.kinds]).tolist():
-        for axis in np.eye(3)[:2]:
-            for sign in (1.0, -1.0):
-                axes = [_Z] * robot.joint_count
-                axes[joint] = sign * axis
-                after = _errors_about(evidence, axes)
+        for axis in "xy":
+            for sign in (1, -1):
+                after = _errors_about(evidence, OtherAxis(joint, axis, sign))
                 gain = float(np.mean(np.log(before / after)))
                 if gain < LEAST_GAIN or not removes(before, after, evidence.noise):
                     continue
@@ -149,15 +161,15 @@ def axis_causes(evidence: Evidence) -> list[Cause]:
 
 
 def _errors_about(
-    evidence: Evidence, axes: Sequence[Float[np.ndarray, "3"]]
+    evidence: Evidence, other: OtherAxis | None = None
 ) -> Float[np.ndarray, " joints"]:
-    """Return the held-out error of each joint, as part of its torque, if joints turn about axes."""
+    """Return the held-out error of each joint, as part of its torque, if one has another axis."""
     network, patterns = evidence.network, evidence.patterns
     step = -(-patterns.samples // _MOST_ROWS)
     rows = slice(None, None, step)
     q, qd, qdd = (np.asarray(x)[rows] for x in (patterns.q, patterns.qd, patterns.qdd))
     torque, mask = np.asarray(patterns.torque)[rows], np.asarray(patterns.mask)[rows]
-    bodies = body_regressor(network.robot, q, qd, qdd, axes=axes)
+    bodies = body_regressor(network.robot, q, qd, qdd, other)
     size = bodies.shape[-1]
     whole = np.zeros((*torque.shape, size + network.size))
     whole[..., :size] = bodies
@@ -189,106 +201,77 @@ def body_regressor(
     q: Float[np.ndarray, "samples joints"],
     qd: Float[np.ndarray, "samples joints"],
     qdd: Float[np.ndarray, "samples joints"],
-    *,
-    axes: Sequence[Float[np.ndarray, "3"]] | None = None,
+    other: OtherAxis | None = None,
 ) -> Float[np.ndarray, "samples joints parameters"]:
-    """Return torque per unit of each link's mass, first moment and inertia, and motor inertias.
+    """Return torque per unit of each link's ten inertial parameters and its motor's inertia.
 
-    Inertias are about the origins of links' frames: xx, xy, xz, yy, yz, zz.
+    Those of a link are in the order of `BODY`, about the origin of its frame; the motor's is last.
 
-    - `axes`: of the joints in their frames at the zero position; z by default.
+    - `q`, `qd`, `qdd`: positions, velocities and accelerations [rad or m; s].
+    - `other`: a joint with another axis than the robot's; none by default.
 
     >>> import numpy as np, jaxcslc as jc
     >>> arm = jc.examples.pendulum()
     >>> still = np.zeros((1, 1))
-    >>> body_regressor(arm, still, still, still + 1.0)[0, 0, [9, 10]].tolist()
+    >>> body_regressor(arm, still, still, still + 1.0)[0, 0, [2, 10]].tolist()
     [1.0, 1.0]
     """
-    joints = robot.joint_count
-    result = np.zeros((*q.shape, 11 * joints))
-    turn: list[np.ndarray] = []
-    axis: list[Samples3] = []
-    place: list[Samples3] = []
-    spin: list[Samples3] = []
-    spin_rate: list[Samples3] = []
-    acceleration: list[Samples3] = []
-    nothing = np.zeros((len(q), 3))
-    base = (np.broadcast_to(np.eye(3), (len(q), 3, 3)), nothing, nothing, nothing)
-    gravity = np.broadcast_to(-np.array(robot.gravity, float), (len(q), 3))
-    for i, (joint, parent) in enumerate(zip(robot.joints, robot.parents, strict=True)):
-        before = parent >= 0
-        turned, origin, w, wd = (
-            (turn[parent], place[parent], spin[parent], spin_rate[parent]) if before else base
-        )
-        accelerated = acceleration[parent] if before else gravity
-        own = _Z if axes is None else axes[i]
-        revolute = joint.kind == "R"
-        fixed = _about(_Z, joint.gamma) @ _about(np.array([1.0, 0.0, 0.0]), joint.alpha)
-        carrier = turned @ fixed @ _about(_Z, joint.theta)
-        a, d, b = (float(length.value or 0.0) for _, _, length in joint.lengths)
-        arm = turned @ (b * _Z + _about(_Z, joint.gamma)[:, 0] * a + d * fixed[:, 2])
-        z = carrier @ own
-        along = nothing if revolute else q[:, i, None] * z
-        arm = arm + along
-        speed, rate = qd[:, i, None] * z, qdd[:, i, None] * z
-        accelerated = accelerated + np.cross(wd, arm) + np.cross(w, np.cross(w, arm))
-        if revolute:
-            wd, w = wd + rate + np.cross(w, speed), w + speed
-            carrier = carrier @ _about(own, q[:, i])
-        else:
-            accelerated = accelerated + rate + 2.0 * np.cross(w, speed)
-        turn.append(carrier)
-        axis.append(z)
-        place.append(origin + arm)
-        spin.append(w)
-        spin_rate.append(wd)
-        acceleration.append(accelerated)
-        force, moment = _wrench(carrier, w, wd, accelerated)
-        carries = i
-        while carries >= 0:
-            z, back = axis[carries], np.swapaxes(carrier, 1, 2)
-            if robot.kinds[carries] == "R":
-                lever = np.cross(z, place[i] - place[carries])
-                lever, about = (np.einsum("sij,sj->si", back, vector) for vector in (lever, z))
-                row = np.einsum("si,sij->sj", about, moment)
-                row += np.einsum("si,sij->sj", lever, force)
-            else:
-                row = np.einsum("si,sij->sj", np.einsum("sij,sj->si", back, z), force)
-            result[:, carries, 11 * i : 11 * i + 10] = row
-            carries = robot.parents[carries]
-        result[:, i, 11 * i + 10] = qdd[:, i]
-    return result
+    signs = np.ones(robot.joint_count)
+    if other is not None:
+        signs[other.joint] = other.sign
+    q, qd, qdd = q * signs, qd * signs, qdd * signs
+    a, d, b = (
+        [float(getattr(joint, letter).value or 0.0) for joint in robot.joints] for letter in "adb"
+    )
+    turns = [
+        joint.theta
+        + (q[:, i] if joint.kind == "R" and (other is None or i != other.joint) else 0.0)
+        for i, joint in enumerate(robot.joints)
+    ]
+    own = link_frames(
+        Chain.from_robot(robot).in_numbers(float),
+        rotations=[(np.cos(turn), np.sin(turn)) for turn in turns],
+        a=a,
+        d=[x + q[:, i] if robot.kinds[i] == "P" else x for i, x in enumerate(d)],
+        b=b,
+    )
+    frames: list[LinkFrame] = []
+    rates: list[tuple[Any, Any]] = []
+    moving: list[int] = []  # frames whose z is the joint's axis
+    carried: list[int] = []  # frames of the links
+    for i, frame in enumerate(own):
+        parent = carried[frame.parent] if frame.parent >= 0 else -1
+        frames.append(dataclasses.replace(frame, parent=parent))
+        of_joint = [(qd[:, i], qdd[:, i])]
+        if other is not None and i == other.joint:
+            frames += _turned(len(frames) - 1, other.axis, q[:, i])
+            of_joint = [(0, 0), *of_joint, (0, 0)]
+        moving.append(len(rates) + len(of_joint) // 2)
+        rates += of_joint
+        carried.append(len(frames) - 1)
+    units = tuple(np.eye(len(BODY))[:, :, None])
+    columns = NewtonEuler(tuple(frames), robot.gravity).columns(
+        [(frame, units) for frame in carried], *zip(*rates, strict=True)
+    )
+    width = len(BODY) + 1
+    result = np.zeros((*q.shape, width * robot.joint_count))
+    for joint, frame in enumerate(moving):
+        for link, column in enumerate(columns[frame]):
+            result[:, joint, width * link : width * (link + 1) - 1] = np.transpose(column)
+        result[:, joint, width * (joint + 1) - 1] = qdd[:, joint]
+    return result * signs[:, None]
 
 
-def _wrench(
-    turn: Float[np.ndarray, "samples 3 3"], spin: Samples3, rate: Samples3, acceleration: Samples3
-) -> tuple[Float[np.ndarray, "samples 3 10"], Float[np.ndarray, "samples 3 10"]]:
-    """Return force and moment about its origin per parameter of a link, in its frame."""
-    w, wd, a = (np.einsum("sji,sj->si", turn, vector) for vector in (spin, rate, acceleration))
-    force, moment = np.zeros((len(w), 3, 10)), np.zeros((len(w), 3, 10))
-    wx = _crossing(w)
-    force[:, :, 0] = a
-    force[:, :, 1:4] = _crossing(wd) + wx @ wx
-    moment[:, :, 1:4] = -_crossing(a)
-    moment[:, :, 4:] = _inertia_times(wd) + wx @ _inertia_times(w)
-    return force, moment
-
-
-def _crossing(vector: Samples3) -> Float[np.ndarray, "samples 3 3"]:
-    return np.cross(vector[:, None, :], np.eye(3)).swapaxes(1, 2)
-
-
-def _inertia_times(vector: Samples3) -> Float[np.ndarray, "samples 3 6"]:
-    x, y, z = vector.T
-    zero = 0.0 * x
-    rows = ((x, y, z, zero, zero, zero), (zero, x, zero, y, z, zero), (zero, zero, x, zero, y, z))
-    return np.moveaxis(np.array(rows), -1, 0)
-
-
-def _about(
-    axis: Float[np.ndarray, "3"], angle: float | Float[np.ndarray, " samples"]
-) -> Float[np.ndarray, "*samples 3 3"]:
-    """Return rotations about a unit vector (Rodrigues)."""
-    across = np.cross(axis, np.eye(3)).T
-    angle = np.asarray(angle)[..., None, None]
-    return np.eye(3) + np.sin(angle) * across + (1.0 - np.cos(angle)) * (across @ across)
+def _turned(
+    parent: int, axis: str, angle: Float[np.ndarray, " samples"]
+) -> tuple[LinkFrame, LinkFrame]:
+    """Return a frame that turns about x or y of its parent, and one as the parent's behind it."""
+    c, s = np.cos(angle), np.sin(angle)
+    there, turn, back = {
+        "x": ((_QUARTER, _QUARTER), (s, -c), (_QUARTER, _BACK, _BACK)),
+        "y": ((_STRAIGHT, _BACK), (c, s), (_STRAIGHT, _QUARTER, _STRAIGHT)),
+    }[axis]
+    return (
+        LinkFrame(parent, False, *there, turn, (0, 0, 0)),
+        LinkFrame(parent + 1, False, *back, (0, 0, 0)),
+    )

@@ -168,7 +168,7 @@ def significant_cause(evidence: Evidence, *, lengths: bool = True) -> list[Findi
         text = f"positions fit the torque best less {shown}; {certain}"
         result = finding("zero position", text, name, joint=name, offset=shown)
     elif kind == "length":
-        network, what = _with_length(evidence.network, which, size)
+        network, what = _network_with_length(evidence.network, which, size)
         mended = recording
         result = finding("length", f"the torque fits best if {what}; {certain}", what=what)
     else:
@@ -186,8 +186,8 @@ def significant_cause(evidence: Evidence, *, lengths: bool = True) -> list[Findi
     others = [x for x in found if x[2] == "length" and kind != "length"]
     alike = [x for x in others if abs(x[0]) / max(x[1], TINY) > _SAME * significance]
     if alike:
-        _, what = _with_length(evidence.network, alike[0][3], alike[0][0])
-        result = result.or_else(f"a length of the robot's file is not the arm's: {what}")
+        _, what = _network_with_length(evidence.network, alike[0][3], alike[0][0])
+        result = result.or_else(finding("length", "", what=what).cause)
     return [result]
 
 
@@ -460,7 +460,7 @@ def _length(trial: _Trial) -> Iterator[Cause]:
         size += step
         if abs(size) < least:
             return
-        network, what = _with_length(trial.evidence.network, trial.which, size)
+        network, what = _network_with_length(trial.evidence.network, trial.which, size)
         mended = dataclasses.replace(trial.evidence, network=network)
         first = FirstOrder.of(mended, only=("length", trial.which))
         if abs(step) < 0.2 * least:
@@ -475,7 +475,7 @@ def _length(trial: _Trial) -> Iterator[Cause]:
     )
 
 
-def _with_length(network: CSLC, which: int, size: float) -> tuple[CSLC, str]:
+def _network_with_length(network: CSLC, which: int, size: float) -> tuple[CSLC, str]:
     """Return the network with an error of its file added, and what was, in words."""
     error, robot = geometry_errors(network)[which], network.robot
     what = error.described(network.output_names, robot.parents[error.joint], size)

@@ -123,7 +123,7 @@ def _likeliest(evidence: Evidence) -> Cause | None:
         causes += [late] if mended is None or not _excitation(mended)[0] else []
     best = max(causes, key=lambda cause: cause.gain, default=None)
     if best is not None:
-        best = _with_length(best, causes)
+        best = _named_with_length(best, causes)
     unit = None if prior is None else _torque_unit(evidence, prior, score)
     if unit is not None and (best is None or unit.gain > best.gain - ALIKE):
         # That of one joint is known better by the other joints than by the file's masses.
@@ -133,7 +133,7 @@ def _likeliest(evidence: Evidence) -> Cause | None:
     return best
 
 
-def _with_length(best: Cause, causes: Sequence[Cause]) -> Cause:
+def _named_with_length(best: Cause, causes: Sequence[Cause]) -> Cause:
     """Return the best cause; one that a length of the file equals is named before it, with it."""
     alike = [cause for cause in causes if cause.gain > best.gain - ALIKE]
     lengths = [cause.finding for cause in alike if cause.finding.kind == "length"]

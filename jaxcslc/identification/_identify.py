@@ -417,10 +417,8 @@ def _identified(
             if begin is not None:
                 problem = dataclasses.replace(problem, begun=begin(problem.settings))
             step("preparing patterns")
-            _ = (
-                problem.patterns,
-                problem.judged_patterns,
-            )  # what is wrong with recordings is said now
+            # What is wrong with recordings is said now.
+            _ = problem.patterns, problem.judged_patterns
             judged = estimator.judged(with_file_prior(with_friction(problem)))
             checked = data_check()
     return _report(judged, friction, checked)
