@@ -5,12 +5,12 @@ import shlex
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import jaxcslc as jc
 from jaxcslc.cli._app import command_named
 from tests.conftest import run
-from tests.recordings.conftest import write_bag
 from tests.test_examples import assert_truth_is_found
 from tests.test_tutorial import is_shown
 
@@ -107,14 +107,15 @@ def command_lines() -> list[str]:
 
 
 def test_the_commands_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Line by line: the first block as it stands, the second with an arm and its bags."""
+    """Line by line: the first block as it stands, the second with an arm and its logs."""
     monkeypatch.chdir(tmp_path)
     made = jc.examples.write_example("panda", tmp_path / "own")
     names = jc.load_robot(made.robot).joint_names
     for name, path in (("log", made.train), ("other", made.validation)):
         dense = jc.load_recording(path, joints=7)
-        recording = jc.Recording(dense.time[::5], dense.position[::5], dense.torque[::5])
-        write_bag(Path(f"{name}.bag"), recording, version="bag", names=names)
+        columns = [dense.time[::5], *dense.position[::5].T, *dense.torque[::5].T]
+        header = ["t", *(f"{what} of {joint}" for what in ("angle", "moment") for joint in names)]
+        np.savetxt(f"{name}.csv", np.stack(columns, 1), delimiter=",", header=",".join(header))
     shutil.copy(made.robot, "arm.urdf")
     printed: list[str] = []
     for line in command_lines():
@@ -128,6 +129,23 @@ def test_the_commands_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.Monk
     assert Path("arm.c").exists() and Path("panda/results/index.html").exists()
     assert_truth_is_found(tmp_path / "panda")
     (shown,) = re.findall(r"```text\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL)
+    assert [line for line in shown.splitlines() if not is_shown(line, printed)] == []
+
+
+def test_the_check_that_the_page_shows_is_what_it_prints(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The log of an example whose elbow torque has the other sign."""
+    monkeypatch.chdir(tmp_path)
+    made = jc.examples.write_example("ur5", "ur5")
+    header, *rows = (line.split(",") for line in made.train.read_text().splitlines())
+    elbow = header.index("actual_current_as_torque_2")
+    for row in rows:
+        row[elbow] = str(-float(row[elbow]))
+    Path("sign.csv").write_text("\n".join(",".join(row) for row in (header, *rows)))
+    printed = run("check", str(made.robot), "sign.csv").output.splitlines()
+    page = (ROOT / "docs" / "checks.md").read_text("utf-8")
+    (shown,) = re.findall(r"```text\n(.*?)```", page, re.DOTALL)
     assert [line for line in shown.splitlines() if not is_shown(line, printed)] == []
 
 
