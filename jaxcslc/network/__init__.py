@@ -54,6 +54,7 @@ from .terms import (
     content_hash as content_hash,
     input_rows as input_rows,
     nested as nested,
+    newton_euler as newton_euler,
 )
 
 

@@ -9,7 +9,7 @@ Modules, in reading order:
 - `_recording`: commands and positions, sampled in time.
 - `_readers`, `_lerobot`: recordings from tables, bags and folders of data sets.
 - `_drive`: the parameters of a servo and its joint.
-- `_simulation`, `servo.c`: positions from commands; loads of one joint.
+- `_simulation`, `joint.c`, `arm.c`: positions from commands; loads of one joint.
 - `_search`: unknowns of a joint, and least squares of its simulated positions.
 - `_start`: where the search starts: a regression of the whole arm.
 - `_sensitivity`: derivatives of all joints' positions with respect to all unknowns.

@@ -1,14 +1,17 @@
 """Simulation of servo arms: positions from commands, and loads of one joint of a moving arm.
 
-`servo.c` has the equations. `simulate` moves a whole arm. `JointLoads` has the torques and
-inertias that a joint carries while the others move as recorded, for `_fit`.
+`joint.c` has the equations of a servo's joint, `arm.c` those of joints that links couple. Equations
+of the links are the network's recursion, as C of each robot. `simulate` moves a whole arm.
+`JointLoads` has the torques and inertias that a joint carries while the others move as recorded,
+for `_fit`.
 """
 
 import ctypes
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass
-from functools import cache
+from functools import cache, lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +19,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from ..codegen import INTEGERS, LONG, CArray, CFunction
-from ..manipulator import LinkParameters, Manipulator, RobotError, fixed_together, link_poses
+from ..bodies import bodies_of
+from ..codegen import LONG, CArray, CFunction, KernelText, Motion
+from ..derivation import BODY
+from ..manipulator import Joint, LinkParameters, Manipulator, RobotError, fixed_together
+from ..network import newton_euler
 from ..recordings import as_float
 from ._drive import DRIVE_UNITS, ServoDrive
 
@@ -36,91 +42,89 @@ _STATES = CArray("samples joints")
 _COLUMN = CArray("samples")
 
 
-@dataclass(frozen=True)
-class _Arm:
-    """Arguments of C that describe the links."""
+# Torques and the mass matrix of links: from ten numbers of each, as `BODY`, and a motion.
+_RIGID_BODIES = """typedef double real;
 
-    parents: np.ndarray
-    slides: np.ndarray
-    placement: np.ndarray
-    body: np.ndarray
-    gravity: np.ndarray
+static void rigid_bodies(const double *body, const double *q, const double *qd, const double *qdd,
+                         double *torque, double *mass) {{
+{statements}
+}}
+"""
 
-    kinds = (
-        CArray("joints", INTEGERS),
-        CArray("joints", INTEGERS),
-        CArray("joints placement"),
-        CArray("joints body"),
-        CArray("three"),
-    )
 
-    @property
-    def arguments(self) -> tuple[np.ndarray, ...]:
-        return self.parents, self.slides, self.placement, self.body, self.gravity
+def _text(name: str) -> str:
+    return Path(__file__).with_name(name).read_text("utf-8")
+
+
+@lru_cache(maxsize=32)
+def _arm_text(
+    joints: tuple[Joint, ...], parents: tuple[int, ...], gravity: tuple[float, float, float]
+) -> str:
+    """Return C of a robot: the recursion over its links' expressions, its drives, and both."""
+    motion, none = Motion(len(joints)), [0.0] * len(joints)
+    recursion = newton_euler(motion, joints, parents, gravity)
+    numbers = iter(motion.graph.inputs("body", len(BODY) * len(joints)))
+    bodies = [list(islice(numbers, len(BODY))) for _ in joints]
+    torque = recursion.torque(bodies, none, motion.qd, motion.qdd)
+    mass = [x for row in recursion.mass_matrix(bodies, none) for x in row]
+    outputs = [
+        (value, f"{array}[{i}] = {{0}};")
+        for array, values in (("torque", torque), ("mass", mass))
+        for i, value in enumerate(motion.values(values))
+    ]
+    statements = KernelText(motion.graph, lambda x: x.text or None).statements(outputs)
+    rigid_bodies = _RIGID_BODIES.format(statements="\n".join(statements))
+    return _text("joint.c") + rigid_bodies + _text("arm.c")
 
 
 @cache
-def _function(name: str) -> CFunction:
-    source = Path(__file__).with_name("servo.c").read_text("utf-8")
-    arguments: dict[str, tuple[Any, ...]] = {
-        "simulate_arm": (
-            *_Arm.kinds,
-            CArray("joints parameters"),
-            _COLUMN,
-            _STATES,
-            _STATES,
-            CArray("two joints"),
-            CArray("samples joints", written=True),
-            *[LONG] * 4,
-            ctypes.c_double,
-        ),
-        "simulate_joint": (
-            *[_COLUMN] * 4,
-            CArray("samples four"),
-            CArray("sets parameters"),
-            CArray("two"),
-            CArray("sets samples", written=True),
-            *[LONG] * 3,
-        ),
-        "inverse_dynamics": (
-            *_Arm.kinds,
-            *[_STATES] * 3,
-            CArray("samples joints", written=True),
-            CArray("samples joints joints", written=True, optional=True),
-            LONG,
-            LONG,
-        ),
-    }
-    return CFunction(source, name, arguments[name])
+def _joint_function() -> CFunction:
+    arguments = (
+        *[_COLUMN] * 4,
+        CArray("samples four"),
+        CArray("sets parameters"),
+        CArray("two"),
+        CArray("sets samples", written=True),
+        *[LONG] * 3,
+    )
+    return CFunction(_text("joint.c"), "simulate_joint", arguments)
 
 
-def _arm(robot: Manipulator) -> _Arm:
-    """**Raises** `RobotError` for a robot without masses or lengths."""
+_OF_ARM: dict[str, tuple[Any, ...]] = {
+    "simulate_arm": (
+        CArray("joints body"),
+        CArray("joints parameters"),
+        _COLUMN,
+        _STATES,
+        _STATES,
+        CArray("two joints"),
+        CArray("samples joints", written=True),
+        *[LONG] * 4,
+        ctypes.c_double,
+    ),
+    "inverse_dynamics": (
+        CArray("joints body"),
+        *[_STATES] * 3,
+        CArray("samples joints", written=True),
+        CArray("samples joints joints", written=True),
+        LONG,
+        LONG,
+    ),
+}
+
+
+def _arm_function(name: str, robot: Manipulator) -> Callable[..., None]:
+    """Return a C function of a robot, its bodies passed.
+
+    **Raises** `RobotError` for a robot without masses or lengths.
+    """
     if robot.links is None:
         raise RobotError(
             f"robot {robot.name!r} has no masses; expected mass, centre and inertia of each link"
         )
-    n = robot.joint_count
-    poses = np.asarray(link_poses(robot, np.zeros(n)))
-    parents = np.array(robot.parents)
-    steps = [
-        pose if parent < 0 else np.linalg.solve(poses[parent], pose)
-        for pose, parent in zip(poses, parents, strict=True)
-    ]
-    rows, columns = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
-    return _Arm(
-        parents,
-        np.array([kind == "P" for kind in robot.kinds], int),
-        np.array([np.append(T[:3, :3], T[:3, 3]) for T in steps]),
-        np.array(
-            [
-                [link.mass, *link.centre_of_gravity, *np.asarray(link.inertia)[rows, columns]]
-                for link in robot.links
-            ],
-            float,
-        ),
-        np.array(robot.gravity, float),
-    )
+    robot.length_values()  # says which has none
+    source = _arm_text(robot.joints, tuple(robot.parents), tuple(robot.gravity))
+    return CFunction(source, name, _OF_ARM[name]).bound(bodies_of(robot.links))
 
 
 def with_payload(robot: Manipulator, payload: LinkParameters | None) -> Manipulator:
@@ -140,8 +144,8 @@ def inverse_dynamics(
     """Return torques and mass matrices of the links, without motors and friction."""
     torque = np.empty(position.shape)
     mass = np.empty((*position.shape, position.shape[1]))
-    _function("inverse_dynamics")(
-        *_arm(robot).arguments, position, velocity, acceleration, torque, mass, *position.shape
+    _arm_function("inverse_dynamics", robot)(
+        position, velocity, acceleration, torque, mass, *position.shape
     )
     return torque, mass
 
@@ -226,8 +230,7 @@ def simulate(
     if longest_step is None:
         longest_step = _STEP_WITH_PLAY if any(drive.play for drive in drives) else LONGEST_STEP
     out = np.empty((times.size, joints))
-    _function("simulate_arm")(
-        *_arm(robot).arguments,
+    _arm_function("simulate_arm", robot)(
         drive_rows(drives),
         times,
         commands,
@@ -318,7 +321,7 @@ def simulate_joint(
     - `start`: reading and velocity at the first sample.
     """
     out = np.empty((len(rows), time.size))
-    _function("simulate_joint")(
+    _joint_function()(
         time,
         command,
         command_integral(time, command),

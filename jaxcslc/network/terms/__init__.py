@@ -39,6 +39,7 @@ from ._rigid_body_recursion import (
     RecursiveBodies as RecursiveBodies,
     RigidBodyRecursion as RigidBodyRecursion,
     carrier as carrier,
+    newton_euler as newton_euler,
     payload_term as payload_term,
 )
 from ._rigid_body_tables import (
