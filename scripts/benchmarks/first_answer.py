@@ -73,7 +73,9 @@ print(json.dumps({"interpreter": marks[0][1]} | times))
 
 
 def _environment(**variables: str) -> dict[str, str]:
-    """That of a user's process, who has not switched off the storing of byte code."""
+    """Return the environment of a user's process, who has not switched off the storing of byte
+    code.
+    """
     kept = {name: x for name, x in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     return kept | variables
 

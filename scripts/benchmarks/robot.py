@@ -43,7 +43,7 @@ _IDENTIFY = "from jaxcslc.cli import main; main()"
 
 
 def file_to_regressor(path: Path, tip: str | None) -> Iterator[Metric]:
-    """From a file to a compiled regressor of 1,000 states, the whole process."""
+    """Return the seconds from a file to a compiled regressor of 1,000 states, the whole process."""
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
         _run([_REGRESSOR, str(path), tip or ""], Path(folder))
@@ -106,7 +106,7 @@ def published(name: str) -> Path:
 
 
 def metrics() -> Iterator[Metric]:
-    """Of a Panda with its hand, 7 joints."""
+    """Return the metrics of a Panda with its hand, 7 joints."""
     path = published("panda.urdf")
     yield from file_to_regressor(path, "panda_hand")
     yield from file_to_coefficients(path, "panda_hand")

@@ -191,7 +191,7 @@ def rows(patterns: int, cores: int | None) -> Iterator[Row]:
 
 
 def metrics() -> Iterator[Metric]:
-    """Of all GPUs with 10⁸ patterns, or of the cores alone with 8 million."""
+    """Return the metrics of all GPUs with 10⁸ patterns, or of the cores alone with 8 million."""
     on_gpu = jax.default_backend() != "cpu"
     for row in rows(int(1e8), None if on_gpu else int(8e6)):
         yield from metrics_of(row)

@@ -132,7 +132,7 @@ class Target(NamedTuple):
 
 
 class Method(NamedTuple):
-    """From patterns to coefficients, and from coefficients to the torque to be judged."""
+    """A way from patterns to coefficients, and from coefficients to the torque to be judged."""
 
     patterns: Patterns
     fit: Callable[[Patterns], jax.Array]
@@ -241,7 +241,7 @@ def held_out(method: Method, target: Target) -> dict[str, Float[np.ndarray, " jo
 
 
 def worst_ratio(ours: dict[str, np.ndarray], usual: dict[str, np.ndarray]) -> float:
-    """Of all joints, on raw and on low-passed torque."""
+    """Return the worst ratio of all joints, on raw and on low-passed torque."""
     return max(float(np.max(ours[kind] / usual[kind])) for kind in PRINTED)
 
 

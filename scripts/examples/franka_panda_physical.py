@@ -50,7 +50,7 @@ def fixed_settings() -> jc.Settings:
 def errors(
     network: jc.CSLC, target: Target, settings: jc.Settings, k: Float[np.ndarray, " coefficients"]
 ) -> dict[str, Float[np.ndarray, " joints"]]:
-    """Of the last third's torque, as `franka_panda.py` judges it [N m]."""
+    """Return the errors of the last third's torque, as `franka_panda.py` judges it [N m]."""
     motion = settings.preparation.smoothing.smooth(target.time, target.position)
     predicted = np.asarray(jax.jit(network.torque)(k, *motion))
     read = target.time - settings.preparation.torque_lag
@@ -166,7 +166,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def ratios(
     results: dict[str, dict[str, Float[np.ndarray, " joints"]]], kind: str
 ) -> tuple[float, float]:
-    """Of errors: the largest of any joint, and that of the root mean square over all joints."""
+    """Return the ratios of errors: the largest of any joint, and that of the root mean square over
+    all joints.
+    """
     before, after = results["least squares"][kind], results["possible bodies"][kind]
     together = float(np.linalg.norm(after) / np.linalg.norm(before))
     return float(np.max(after / before)), together

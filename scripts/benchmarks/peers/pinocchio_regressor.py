@@ -71,7 +71,9 @@ def regressor_rate(program: Path, name: str, threads: int, samples: int) -> floa
 
 
 def metrics(samples: int = _SAMPLES) -> Iterator[Metric]:
-    """Of a PUMA 560 and a Panda, on all cores; nothing where the program cannot be compiled."""
+    """Return the metrics of a PUMA 560 and a Panda, on all cores; nothing where the program cannot
+    be compiled.
+    """
     if not can_be_compiled():
         return
     threads = core_count()

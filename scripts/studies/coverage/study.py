@@ -57,7 +57,7 @@ class Coverage:
     estimate: Float[np.ndarray, "recordings coefficients"]
 
     def row(self) -> list[str]:
-        """For the printed table."""
+        """Return the row for the printed table."""
         share = self.covered.mean(axis=0)
         within = np.mean((share >= 0.93) & (share <= 0.97))
         return [

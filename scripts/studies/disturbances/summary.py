@@ -39,7 +39,7 @@ class Summary:
         return float(np.mean(difference)), float(half)
 
     def row(self) -> dict[str, Any]:
-        """For a CSV file."""
+        """Return the row for a CSV file."""
         gain, half = self.gain()
         row: dict[str, Any] = {
             "case": self.line.case,

@@ -64,7 +64,7 @@ def rows_of(
 
 
 def table_text(kind: str, rows: Sequence[Mapping[str, Any]]) -> str:
-    """Of one recording, a line a method."""
+    """Return the table of one recording, a line per method."""
     methods = [name for name in NAMES if any(row["method"] == name for row in rows)]
     lines = [list(summary(rows, name).values()) for name in methods]
     header = [kind, "ε [N m]", "bias", "95 % intervals", "CPU s", "biased"]

@@ -61,7 +61,7 @@ def network(directional: bool = False) -> jc.CSLC:
 
 @cache
 def noise(estimator: str = "likelihood") -> Noise:
-    """Of the machine's encoders, and of torques."""
+    """Return the noise of the machine's encoders, and of torques."""
     return Noise(TORQUE_NOISE, sim.puma560().encoder_resolution, 1 / INTERVAL, estimator=estimator)
 
 
@@ -125,7 +125,7 @@ def path_of(parameters: Any) -> Path:
 
 @cache
 def fourier_planner() -> Planner:
-    """Of random Fourier series."""
+    """Return a planner of random Fourier series."""
     family = FourierSeries(DURATION, 8, periodic=False)
     return Planner.of(network(), limits(), noise(), family, knowledge=knowledge())
 

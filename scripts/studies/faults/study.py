@@ -49,7 +49,7 @@ _MOMENTS = (0.25, 0.5, 0.8, 1.35)  # of faults [s]: on the way to the first pose
 
 
 def path(poses: int, seed: int) -> sim.ViaPoints:
-    """From pose to pose, a second for each."""
+    """Return the path from pose to pose, one second for each."""
     rng = np.random.default_rng(seed)
     return sim.ViaPoints(
         _START + rng.uniform(-1, 1, (poses, 6)) * _REACH, np.full(poses, 1.0), np.full(poses, 0.1)
@@ -166,12 +166,12 @@ def make_rows(options: argparse.Namespace, rows: Rows) -> None:
 
 
 def healthy_keys(options: argparse.Namespace) -> list[tuple[str, int, float]]:
-    """Of the paths without a fault, by their number."""
+    """Return the keys of the paths without a fault, by their number."""
     return [(HEALTHY, 0, float(number)) for number in range(options.healthy)]
 
 
 def fault_keys(options: argparse.Namespace) -> list[tuple[str, int, float]]:
-    """Of the faults: kind, joint and moment [s]."""
+    """Return the keys of the faults: kind, joint and moment [s]."""
     return [
         (kind, joint, moment)
         for kind in FAULTS[1:]

@@ -41,7 +41,9 @@ class Sigmoidal(eqx.Module):
         return self.layers[-1](x)
 
     def link_ends(self) -> LinkEnds:
-        """Of `ravel_pytree`'s weights, layer by layer: matrix, then biases."""
+        """Return the ends of the links of `ravel_pytree`'s weights, layer by layer: matrix, then
+        biases.
+        """
         source: list[np.ndarray] = []
         target: list[np.ndarray] = []
         first = 1  # node 0 is the constant

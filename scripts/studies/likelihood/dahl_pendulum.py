@@ -63,7 +63,9 @@ def recording(
     torque: Float[np.ndarray, " samples"],
     rng: np.random.Generator,
 ) -> jc.Recording:
-    """Of positions that were read and torques that acted [N m], with torque noise of 0.02 N m."""
+    """Return the recording of positions that were read and torques that acted [N m], with torque
+    noise of 0.02 N m.
+    """
     noisy = torque + _NOISE * rng.normal(size=len(torque))
     return jc.Recording(INTERVAL * np.arange(len(torque)), position[:, None], noisy[:, None])
 

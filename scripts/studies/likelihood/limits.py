@@ -64,7 +64,7 @@ class TrueArm:
 
     @classmethod
     def of(cls, network: jc.CSLC, machine: sim.Machine) -> "TrueArm":
-        """Of a network with viscous and dry friction."""
+        """Return that of a network with viscous and dry friction."""
         k = np.array(true_coefficients(network, machine))
         for kind in ("viscous", "dry"):
             k[network.layout.indices(kind)] = 0.0

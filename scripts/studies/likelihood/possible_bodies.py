@@ -65,7 +65,7 @@ def links_of(factors: Sequence[float] = (1.0, 1.0)) -> tuple[jc.LinkParameters, 
 
 
 def network_of(factors: Sequence[float] | None) -> jc.CSLC:
-    """Of an arm whose file has links, times factors, or none."""
+    """Return the network of an arm whose file has links, times factors, or none."""
     robot = jc.Manipulator.from_modified_dh(
         [(0, 0, 0, 0), ("-pi/2", 0.1, 0, 0)], gravity=(0, -9.81, 0), name="elbow"
     )
@@ -98,7 +98,7 @@ def torque_error(
 
 
 def row_of(network: jc.CSLC, case: Case, seed: int) -> dict[str, Any]:
-    """Of one recording."""
+    """Return the row of one recording."""
     rng = np.random.default_rng(seed)
     true = np.asarray(network.coefficients_from(links_of(), viscous=VISCOUS))
     q, *rates = motion(case.amplitude, case.samples, SPEEDS, case.sines)

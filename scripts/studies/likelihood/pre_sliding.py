@@ -101,7 +101,7 @@ def _row(
 
 
 def table(rows: Sequence[dict[str, Any]], length: float) -> str:
-    """Of one length: torque errors, intervals, convergence."""
+    """Return the table of one length: torque errors, intervals, convergence."""
     lines: list[list[str]] = []
     of_length = [row for row in rows if row["length"] == length]
     for estimator in dict.fromkeys(row["estimator"] for row in of_length):

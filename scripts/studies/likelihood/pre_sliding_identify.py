@@ -115,7 +115,7 @@ def _row(
 
 
 def table(rows: Sequence[dict[str, Any]], length: float) -> str:
-    """Of one length: torque errors, intervals, lengths that were used."""
+    """Return the table of one length: torque errors, intervals, lengths that were used."""
     lines: list[list[str]] = []
     of_length = [row for row in rows if row["length"] == length]
     for name in dict.fromkeys(row["report"] for row in of_length):

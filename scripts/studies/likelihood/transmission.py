@@ -184,7 +184,9 @@ def means_of_directions(
 
 
 def table(rows: Sequence[dict[str, Any]], machine: str) -> str:
-    """Of one machine: ε over seeds, beside regression's of the same seeds, and intervals."""
+    """Return the table of one machine: ε over seeds, beside regression's of the same seeds, and
+    intervals.
+    """
     lines: list[list[str]] = []
     of_machine = [row for row in rows if row["machine"] == machine]
     regression = {

@@ -145,7 +145,7 @@ def inside(fit: jc.LikelihoodFit, truth: Truth) -> float:
 
 
 def table(rows: Sequence[dict[str, Any]], name: str) -> str:
-    """Of one case: torque errors, intervals, gears."""
+    """Return the table of one case: torque errors, intervals, gears."""
     lines: list[list[str]] = []
     of_case = [row for row in rows if row["case"] == name]
     for estimator in dict.fromkeys(row["estimator"] for row in of_case):

@@ -104,6 +104,6 @@ def two_masses(
 
 
 def network_of_two_masses() -> jc.CSLC:
-    """Of the joint with rigid gears."""
+    """Return the network of the joint with rigid gears."""
     robot = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)], gravity=(0, -9.81, 0))
     return jc.derive(robot.with_friction("viscous"), lengths="numeric")

@@ -72,7 +72,9 @@ def _equations(
 def autocovariance(
     residual: Float[np.ndarray, " updates"], moving: Bool[np.ndarray, " updates"], lags: int
 ) -> Float[np.ndarray, " lags"]:
-    """Of a joint's errors in motion, weighted by a triangle that ends at `lags`."""
+    """Return the autocovariance of a joint's errors in motion, weighted by a triangle that ends at
+    `lags`.
+    """
     error = np.where(moving, residual, 0.0)
     pairs = [np.sum(moving[lag:] & moving[: len(moving) - lag]) for lag in range(lags)]
     sums = [np.sum(error[lag:] * error[: len(error) - lag]) for lag in range(lags)]

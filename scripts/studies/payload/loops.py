@@ -82,7 +82,7 @@ class KnownPayloadLoop(AbstractController):
         start: float = 0.0,
         stop: float = 0.0,
     ) -> "KnownPayloadLoop":
-        """From the arm's controller, and the arm's network with payload."""
+        """Return it from the arm's controller, and the arm's network with payload."""
         k = jnp.concatenate([controller.k, jnp.zeros(10)])
         links = [LinkParameters(0.0, jnp.zeros(3), jnp.zeros((3, 3)))] * network.joint_count
         ten = jnp.zeros(10)
@@ -109,7 +109,7 @@ class KnownPayloadLoop(AbstractController):
         interval: float | Array,
         qd: Float[Array | np.ndarray, " joints"] | None = None,
     ) -> tuple[Float[Array, " joints"], tuple[Float[Array, ""], OutputFeedbackState]]:
-        """As `OutputFeedback.step`."""
+        """Return what `OutputFeedback.step` returns."""
         del qd
         clock, inner = state
         carrying = (clock > self.start - 0.5 * interval) & (clock < self.stop - 0.5 * interval)

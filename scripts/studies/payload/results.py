@@ -84,7 +84,7 @@ class Tables:
         return text_table(header, cells)
 
     def moments(self) -> str:
-        """When picking up and putting down were detected, false alarms, and how near to one."""
+        """Return when picking up and putting down were detected, with false alarms and their margin."""
         cells: list[list[str]] = []
         for case, mass in self.pairs:
             up, down = (

@@ -18,7 +18,7 @@ MARKERS = "os^Dv"
 
 
 def pictures(results: Results) -> dict[str, Figure]:
-    """By name of its file, each picture that there are results for: hard limiters have no slope,
+    """Return each picture that has results, by name of its file: hard limiters have no slope,
     and PERAL does not train every class."""
     figures: dict[str, Figure] = {}
     if results.compared:

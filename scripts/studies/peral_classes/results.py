@@ -155,7 +155,7 @@ def alternative_row(problem: Problem, epochs: int) -> dict[str, Any]:
 
 
 def _rank(steps: Float[np.ndarray, " seeds"]) -> tuple[float, float]:
-    """By median; among equals, by how many never arrive."""
+    """Rank by median; among equals, by how many never arrive."""
     return float(np.median(steps)), float(np.sum(np.isinf(steps)))
 
 

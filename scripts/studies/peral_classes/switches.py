@@ -59,7 +59,7 @@ class Guided:
 
 
 def switch_epochs(epochs: int) -> Int[np.ndarray, " switches"]:
-    """At the start, and ever rarer up to half of the epochs."""
+    """Return the epochs of switches: dense at first, and ever rarer up to half of the epochs."""
     powers = GROWTH ** np.arange(100)
     rounded = np.unique(np.round(FIRST_SWITCH * powers).astype(int))
     return np.concatenate([[0], rounded[rounded <= epochs // 2]])

@@ -142,7 +142,9 @@ def torque_of_urdf(path: Path, patterns: jc.Patterns) -> Float[np.ndarray, "samp
 
 
 def _tables(results: list[dict[str, Any]]) -> Iterator[str]:
-    """Of each motion: the error of all joints together, over that of the free fit."""
+    """Return the tables of each motion: the error of all joints together, over that of the free
+    fit.
+    """
     header = ["motion", "recordings", "free fit, % of torque", *PREDICTIONS[1:], "largest", "used"]
     rows: list[list[str]] = []
     for motion in dict.fromkeys(row["motion"] for row in results):
@@ -180,7 +182,7 @@ def _ratio(row: dict[str, Any], name: str) -> float:
 
 
 def _flat(row: dict[str, Any]) -> dict[str, Any]:
-    """Of lists by joint, a column a joint."""
+    """Return lists by joint as one, with a column per joint."""
     flat: dict[str, Any] = {}
     for name, value in row.items():
         if isinstance(value, list):

@@ -35,7 +35,7 @@ class DemandHold(AbstractController):
 
     @property
     def array_generic(self) -> bool:
-        """As the controller."""
+        """Return what the controller returns."""
         return self.controller.array_generic
 
     def begin(self, q: Any) -> Any:
@@ -51,7 +51,7 @@ class DemandHold(AbstractController):
         interval: float | Array,
         qd: Any | None = None,
     ) -> tuple[Any, Any]:
-        """As `AbstractController.step`."""
+        """Return what `AbstractController.step` returns."""
         before, demand, count = state
         xp = q.__array_namespace__()
         due = count % self.every == 0

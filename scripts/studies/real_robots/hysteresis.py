@@ -31,7 +31,7 @@ WIDTHS = (0.03, 0.1, 0.3, 1.0)
 
 
 def lines_of(name: str, arm: Arm) -> list[list[str]]:
-    """Of the table: errors with the state over those without, and widths."""
+    """Return the lines of the table: errors with the state over those without, and widths."""
     network = with_offsets(without_static(arm))
     patterns = SETTINGS.patterns(evenly(arm.training))
     plain = SETTINGS.solver.fit(network, patterns)

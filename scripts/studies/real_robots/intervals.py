@@ -90,7 +90,7 @@ def deviations_of(arm: Arm) -> dict[str, Float[np.ndarray, " differences"]]:
 
 
 def lines_of(name: str, arm: Arm) -> list[list[str]]:
-    """Of the table: a row for what standard errors allow for."""
+    """Return the lines of the table: a row for what standard errors allow for."""
     rows: list[list[str]] = []
     for kind, values in deviations_of(arm).items():
         finite = values[np.isfinite(values)]

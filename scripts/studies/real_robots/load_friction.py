@@ -1,4 +1,5 @@
-"""Is dry friction that grows with the load worth a term, joint by joint, on real arms?
+"""Study of dry friction that grows with the load: is the term worth it, joint by joint, on real
+arms?
 
 The torque of a joint's gears presses their teeth, so dry friction may have a part
 kl sgn(qd) |rigid torque|, with kl of a few percent (`jaxcslc.friction.fit_load`). Both models
@@ -32,7 +33,7 @@ FOLDS = 8
 
 
 def lines_of(name: str, arm: Arm, friction: Sequence[str] | None) -> list[list[str]]:
-    """Of the table: errors with the term over those without, and the coefficients.
+    """Return the lines of the table: errors with the term over those without, and the coefficients.
 
     - `friction`: kinds of all joints; None for the robot's, without static friction.
     """

@@ -1,4 +1,4 @@
-"""From an arm's training recording to coefficients, by ways of this library and of others."""
+"""Ways from an arm's training recording to coefficients: those of this library and of others."""
 
 import dataclasses
 import resource

@@ -29,7 +29,9 @@ SETTINGS = dataclasses.replace(
 
 
 def lines_of(name: str, arm: Arm) -> list[list[str]]:
-    """Of the table: held-out errors, errors on the motion that is judged, and lengths."""
+    """Return the lines of the table: held-out errors, errors on the motion that is judged, and
+    lengths.
+    """
     network = without_static(arm)
     patterns, solver = SETTINGS.patterns(evenly(arm.training)), SETTINGS.solver
     result = fit_pre_sliding(network, patterns, solver=solver)

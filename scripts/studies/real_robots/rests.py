@@ -27,7 +27,9 @@ _SLOW = 1e-12  # rad/s: only its sign counts
 
 
 def lines_of(name: str, arm: Arm) -> list[list[str]]:
-    """Of the table: for each motion, a row for each kind of friction at rest, and the rests."""
+    """Return the lines of the table: for each motion, a row for each kind of friction at rest, and
+    the rests.
+    """
     network = jc.derive(arm.robot, lengths="numeric")
     report = jc.identify(network, arm.training, checks=False, systematic=False)
     raw = report.settings.with_options(torque_alignment="sample", smooth_torque=False)

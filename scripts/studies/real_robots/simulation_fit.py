@@ -248,7 +248,7 @@ def _trajectories(
 def coefficients_of(
     network: jc.CSLC, model: mujoco.MjModel, parameters: sysid.ParameterDict
 ) -> Float[np.ndarray, " coefficients"]:
-    """Those of the model's bodies, friction and motor inertias."""
+    """Return the coefficients of the model's bodies, friction and motor inertias."""
     n = network.joint_count
     links = []
     for i in range(n):
@@ -281,7 +281,7 @@ def _rms(values: Any) -> np.ndarray:
 
 
 def lines_of(name: str, arm: Arm, stretch: float, steps: int) -> list[list[str]]:
-    """Of the table: errors on the fitted motion and on those that are judged."""
+    """Return the lines of the table: errors on the fitted motion and on those that are judged."""
     network = without_static(arm)
     settings = jc.Settings(
         jc.Preparation(jc.Butterworth(LOW_PASS), torque_alignment="sample", threshold_fraction=0.0)

@@ -80,7 +80,8 @@ def errors_of(
     by_sign: bool = False,
     ends: float = 0.0,
 ) -> dict[str, list[float]]:
-    """In percent of the raw torque, joint by joint: over all samples, and over judged ones.
+    """Return the errors in percent of the raw torque, joint by joint: over all samples, and over
+    judged ones.
 
     - `ends`: omitted at either end [s].
     """

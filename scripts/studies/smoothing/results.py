@@ -29,7 +29,7 @@ class Entry:
     spread: float
 
     def row(self) -> dict[str, Any]:
-        """For a CSV file."""
+        """Return the row for a CSV file."""
         return {
             "trajectory": self.trajectory,
             "region": self.region,

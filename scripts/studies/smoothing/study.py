@@ -107,7 +107,7 @@ class Errors:
 
     @classmethod
     def of_row(cls, row: dict[str, Any]) -> "Errors":
-        """From what `row` returned."""
+        """Return it from what `row` returned."""
         trials = {
             region: {
                 method: {setting: np.array(square) for setting, square in settings}

@@ -294,7 +294,7 @@ def _path(
     h = interval / _STEPS
 
     def mean_friction(before: Array, after: Array) -> Array:
-        """Of dry and static friction, while the velocity goes from one to the other."""
+        """Return the mean of dry and static friction between two velocities."""
         change = after - before
         still = jnp.abs(change) < 1e-9
         middle = 0.5 * (before + after)

@@ -45,7 +45,7 @@ _DRAWS = 60
 
 @dataclasses.dataclass(frozen=True)
 class Ranks:
-    """Of one system.
+    """Ranks of one system.
 
     **Attributes**
 
@@ -66,7 +66,7 @@ class Ranks:
 
     @classmethod
     def of_row(cls, row: Mapping[str, Any]) -> "Ranks":
-        """From a finished row."""
+        """Return it from a finished row."""
         return cls(**{field.name: row[field.name] for field in dataclasses.fields(cls)})
 
     @property

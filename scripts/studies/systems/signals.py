@@ -47,7 +47,9 @@ class Multisine:
         lines: int = 8,
         mean: float = 0.0,
     ) -> "Multisine":
-        """Of random phases; logarithmic steps from the lowest to the highest frequency [Hz]."""
+        """Return a signal of random phases; logarithmic steps from the lowest to the highest
+        frequency [Hz].
+        """
         frequency = np.geomspace(*band, lines)
         phase = [generator(seed, stream).uniform(0.0, 2.0 * np.pi, lines) for seed in seeds]
         amplitude = np.full((len(seeds), lines), rms * np.sqrt(2.0 / lines))

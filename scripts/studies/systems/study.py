@@ -132,7 +132,7 @@ def equation_error(example: Example, fit: Identification, patterns: Patterns) ->
 
 
 def seeds_of(options: argparse.Namespace) -> range:
-    """Of the recordings of each system."""
+    """Return the seeds of the recordings of each system."""
     return range(options.first, options.first + options.recordings)
 
 
@@ -210,7 +210,7 @@ def spread(k: np.ndarray) -> np.ndarray:
 
 
 def largest_mean(z: np.ndarray) -> float:
-    """Of errors over standard errors, the largest modulus of a coefficient's mean."""
+    """Return the largest modulus of a coefficient's mean error over its standard error."""
     return float(np.max(np.abs(np.mean(z, axis=0))))
 
 

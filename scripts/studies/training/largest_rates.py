@@ -246,7 +246,7 @@ def rows_of(name: str, cost: str, options: argparse.Namespace) -> list[dict[str,
 def medians(
     rows: Sequence[dict[str, Any]], checkpoints: Sequence[int]
 ) -> dict[tuple[str, str, str], dict[str, Float[np.ndarray, " checkpoints"]]]:
-    """By problem, cost and rule: the median over starts of each measure at the checkpoints."""
+    """Return by problem, cost and rule each median over starts at the checkpoints."""
     cases = list(dict.fromkeys((row["problem"], row["cost"], row["rule"]) for row in rows))
     return {
         case: {

@@ -85,7 +85,7 @@ class Trainings:
 
     @property
     def weights(self) -> Float[Array, "recordings coefficients"]:
-        """At the end of each training."""
+        """Return the weights at the end of each training."""
         return self.training.weights
 
     def epochs(self) -> tuple[Float[np.ndarray, " recordings"], ...]:

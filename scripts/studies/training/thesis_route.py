@@ -55,7 +55,7 @@ class Stage:
 
     @property
     def epochs(self) -> tuple[int, int]:
-        """Of backpropagation and of PERAL."""
+        """Return the epochs of backpropagation and of PERAL."""
         rule = np.asarray(self.training.history.rule)
         return int(np.sum(rule == 0)), int(np.sum(rule == 1))
 

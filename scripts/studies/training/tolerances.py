@@ -194,7 +194,7 @@ def trained(
 
 
 def row_of(problem: Noisy, method: str, epochs: int) -> dict[str, Any]:
-    """By weight: spread and bias of a method, and what they are compared with."""
+    """Return by weight the spread and bias of a method, and what they are compared with."""
     rule = rules(problem)[method]
     jacobian = change_jacobian(problem, rule)
     others = np.random.default_rng(5).uniform(*_START, len(problem.truth)) * problem.truth

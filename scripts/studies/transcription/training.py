@@ -190,7 +190,7 @@ def followed_rates(
 
 
 class Turns(NamedTuple):
-    """When rules take turns (7.5), as the docstring of `Schedule` has it.
+    """Schedule of rules that take turns (7.5), as the docstring of `Schedule` has it.
 
     - `hand_over`: ε below which turns begin [N m].
     - `least`: the reduction of ε below which an epoch gains too little [N m].

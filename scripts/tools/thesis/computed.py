@@ -61,7 +61,9 @@ def dh_parameters() -> list[int]:
 
 
 def example_orders() -> list[int]:
-    """Of the outputs of Fig. 4.2-1, whose nodes have 2, 3, 3, 2 and 2, 3 links, and of it."""
+    """Return the orders of the outputs of Fig. 4.2-1, whose nodes have 2, 3, 3, 2 and 2, 3 links,
+    and of it.
+    """
     hidden = [[0, 1], [0, 1, 2], [0, 1, 2], [1, 2]]
     outputs = [[0, 1], [0, 2, 3]]
     layers: list[Layer] = []
@@ -94,12 +96,12 @@ def weights() -> list[int]:
 
 
 def order() -> int:
-    """Of the network."""
+    """Return the order of the network."""
     return network().order
 
 
 def least_patterns() -> int:
-    """That determine all coefficients."""
+    """Return how many patterns determine all coefficients."""
     return network().least_patterns
 
 
@@ -122,7 +124,7 @@ def order_of_joint_2() -> list[int]:
 
 
 def ultrasound_patterns() -> list[int]:
-    """In all, for training, and for training of each kind."""
+    """Return the numbers of patterns: in all, for training, and for training of each kind."""
     options = inspect.signature(sim.ultrasound).parameters
     per_kind = options["training_per_kind"].default
     kinds = sim.ultrasound(patterns=10, training_per_kind=1).kinds
@@ -130,22 +132,22 @@ def ultrasound_patterns() -> list[int]:
 
 
 def operations_formula(rule: str) -> str:
-    """Of a pattern in an epoch of a two-layer network."""
+    """Return the operations per pattern in an epoch of a two-layer network, as a formula."""
     return COUNTED_FORMULAS[rule]
 
 
 def ultrasound_operations() -> list[int]:
-    """Of both rules on the 25+1 to 10 network."""
+    """Return the operations of both rules on the 25+1 to 10 network."""
     return list(counted(fully_connected([25, 10], "hyperbolic tangent")).values())
 
 
 def cslc_operations() -> list[int]:
-    """Of both rules on the PUMA 560's CSLC."""
+    """Return the operations of both rules on the PUMA 560's CSLC."""
     return list(counted(inverse_dynamics(network())).values())
 
 
 def encoder_counts() -> list[float]:
-    """At the joints [mrad]."""
+    """Return the encoder counts at the joints [mrad]."""
     return [1e3 * count for count in sim.puma560().encoder_resolution]
 
 
@@ -156,17 +158,17 @@ def linearity_measurements() -> list[int]:
 
 
 def sampling_interval() -> float:
-    """Of the training trajectory [ms]."""
+    """Return the sampling interval of the training trajectory [ms]."""
     return 1e3 * sim.training().sample_interval
 
 
 def training_amplitudes() -> list[float]:
-    """Of the training torques [N m]."""
+    """Return the amplitudes of the training torques [N m]."""
     return _numbers(cast(Any, sim.training().controller).amplitude)
 
 
 def training_periods() -> list[float]:
-    """Of the training torques [s]."""
+    """Return the periods of the training torques [s]."""
     return _numbers(cast(Any, sim.training().controller).period)
 
 
@@ -183,7 +185,7 @@ def training_patterns() -> list[float]:
 
 
 def comparison_gains(kind: str) -> list[float]:
-    """Of the controller of the comparison trajectory."""
+    """Return the comparison gains of the controller of the comparison trajectory."""
     return _numbers(getattr(sim.comparison().controller, kind))
 
 

@@ -41,7 +41,7 @@ def link(reference: str) -> str:
 
 
 def _name_link(reference: str) -> str:
-    """To the API page of a public name, or of the class that has a member of this name."""
+    """Link to the API page of a public name, or of the class that has a member of this name."""
     parts = reference.split(".")
     depth = 1 if parts[0] == "sim" else 2
     package, name, members = ".".join(parts[:depth]), parts[depth], parts[depth + 1 :]

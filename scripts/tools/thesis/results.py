@@ -109,7 +109,7 @@ def fine_tuning(problem: str, variant: str, goal: str) -> list[float]:
 
 
 def peak_torques(machine: str) -> list[float]:
-    """Of each joint in the comparison trajectory [N m]."""
+    """Return the peak torques of each joint in the comparison trajectory [N m]."""
     return [float(row[f"{machine} [N m]"]) for row in rows("demo", "peaks.csv")]
 
 

@@ -76,7 +76,9 @@ def _recording(
 
 
 def system() -> System:
-    """From the Lagrangian; viscous friction by Rayleigh's function, dry friction as a force."""
+    """Return the system from the Lagrangian; viscous friction by Rayleigh's function, dry friction
+    as a force.
+    """
     x, theta, F = dynamicsymbols("x theta F")
     t = dynamicsymbols._t
     M, m, l, J, b, v, d, g = sp.symbols("M m l J b v d g")

@@ -17,7 +17,7 @@ _TRANSIENT = 10.0  # left out: the way to the attractor
 
 
 def simulate(seeds: Sequence[int], validation: bool) -> list[Columns]:
-    """From random points near the attractor; no input."""
+    """Simulate from random points near the attractor, without input."""
     stream = "validation start" if validation else "training start"
     start = np.array([generator(seed, stream).uniform(5.0, 15.0, 3) for seed in seeds]).T
     time = np.arange(0.0, 15.0 if validation else 30.0, _INTERVAL)

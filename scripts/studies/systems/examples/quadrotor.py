@@ -132,7 +132,7 @@ def _angles(quaternion: np.ndarray) -> np.ndarray:
 
 
 def _wanted_speeds(data: mujoco.MjData, references: Sequence[Multisine]) -> np.ndarray:
-    """Of the rotors, by a proportional and differential controller of attitude and height."""
+    """Return the wanted speeds of the rotors, by a PD controller of attitude and height."""
     roll, pitch, yaw, height = (float(reference(data.time)[0]) for reference in references)
     angles = _angles(data.qpos[3:7])
     rates = data.qvel[3:6]
