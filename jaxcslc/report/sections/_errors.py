@@ -24,6 +24,8 @@ from .._section import AbstractSection, AnyReport, listed, open_errors, validati
 # A model that explains less than half of the variance of a joint's training torque is not one of
 # this joint. (A good model may explain less of a validation torque that barely changes.)
 _LEAST_R_SQUARED = 0.5
+# Errors with masked samples over those without, from which the verdict has both.
+_NOTABLY = 1.2
 # Errors in % of a joint's RMS torque.
 _SMALL, _LARGE = 10.0, 50.0
 # Seconds of simulation that the verdict quotes.
@@ -146,15 +148,18 @@ class QualitySection(AbstractSection):
         if not np.any(np.isfinite(percent)):
             yield Message(f"All samples of the {name} recording are masked.", "bad")
             return
-        worst = int(np.nanargmax(percent))
         # Sensor noise is no error of the model.
-        largest = float(np.nanmax(_beyond_noise(percent, quality)))
+        beyond = _beyond_noise(percent, quality)
+        largest = float(np.nanmax(beyond))
         tone: Tone = "bad" if largest > _LARGE else "caution" if largest > _SMALL else "good"
-        judged, every = _range(percent), _range(whole)
-        masked = "" if judged == every else f" ({every} % including masked samples)"
+        worst, other = int(np.nanargmax(percent)), float(np.nanmax(whole))
+        noisy = beyond[worst] ** 2 < 0.5 * percent[worst] ** 2
+        remarks = ", mostly sensor noise" if noisy else ""
+        if other > _NOTABLY * percent[worst]:
+            remarks += f"; with masked samples up to {other:.2g} %"
         yield Message(
-            f"Replay of the {name} recording: the {report.model.error_kind} error is {judged} % of"
-            f" the RMS {quantity}{masked}, largest at {names[worst]}.",
+            f"Replay of the {name} recording: {report.model.error_kind} errors are"
+            f" {_range(percent, names)} of the RMS {quantity}{remarks}.",
             tone,
         )
         r_squared = np.asarray(qualities["training"]["judged"]["r_squared"], float)
@@ -284,13 +289,13 @@ class HeldOutSection(AbstractSection):
             )
         elif beyond:
             yield Message(
-                f"Held-out data ({motion}): errors at {listed(beyond)} are larger than noise"
-                " explains. The model may lack a term.",
+                f"Held-out data ({motion}): errors at {listed(beyond)} are larger than on fitted"
+                " data, by more than noise explains. The model may lack a term.",
                 "caution",
             )
         else:
             yield Message(
-                f"Held-out data ({motion}): errors are no larger than noise explains.", "good"
+                f"Held-out data ({motion}): errors are as small as on fitted data.", "good"
             )
 
     @staticmethod
@@ -515,9 +520,10 @@ def _whole(data: Mapping[str, Any]) -> dict[str, Any]:
     return whole
 
 
-def _range(values: np.ndarray) -> str:
-    finite = values[np.isfinite(values)]
-    if not finite.size:
-        return "-"
-    low, high = f"{finite.min():.2g}", f"{finite.max():.2g}"
-    return low if low == high else f"{low} to {high}"
+def _range(percent: Float[np.ndarray, " outputs"], names: Sequence[str]) -> str:
+    """Return the least and the largest error with their joints; one alone if they are alike."""
+    low, high = int(np.nanargmin(percent)), int(np.nanargmax(percent))
+    shown = [f"{percent[joint]:.2g} %" for joint in (low, high)]
+    if shown[0] == shown[1]:
+        return shown[0]
+    return f"{shown[0]} ({names[low]}) to {shown[1]} ({names[high]})"
