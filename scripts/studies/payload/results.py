@@ -84,7 +84,7 @@ class Tables:
         return text_table(header, cells)
 
     def moments(self) -> str:
-        """Return when picking up and putting down were detected, with false alarms and their margin."""
+        """Return when picking up and putting down were detected, and false alarms."""
         cells: list[list[str]] = []
         for case, mass in self.pairs:
             up, down = (
