@@ -66,14 +66,17 @@ static Step slide(double A, double b, double v, double push, double falling, dou
   return (Step){after, w * after + (1.0 - w) * v};
 }
 
-/* The servo's step of an inertia A with momentum b. Its spring acts in the middle of the step. */
-static Step drive(const Joint *s, const double *p, double A, double b, double h) {
-  double limit = p[TORQUE_LIMIT], viscous = p[VISCOUS], v = s->motor;
-  double falling = p[DAMPING] + 0.5 * h * s->slope * p[GAIN];
-  Step step = slide(A, b, v, s->push, falling + viscous, s->friction, h);
+/* The servo's step of an inertia A with velocity v and momentum b. Its spring acts on the reading in
+   the middle of the step. The reading's mean velocity is share * mean - ahead, where mean is that of
+   the motor side: share is 1 in contact and 0 within the play. */
+static Step drive(const Joint *s, const double *p, double A, double b, double v, double share,
+                  double ahead, double h) {
+  double limit = p[TORQUE_LIMIT], viscous = p[VISCOUS], spring = 0.5 * h * s->slope * p[GAIN];
+  double falling = p[DAMPING] + share * spring, push = s->push + spring * ahead;
+  Step step = slide(A, b, v, push, falling + viscous, s->friction, h);
   if (isinf(limit)) return step;
   double fall = isinf(p[SPEED_LIMIT]) ? 0.0 : limit / p[SPEED_LIMIT];
-  double torque = s->push - falling * step.mean;
+  double torque = push - falling * step.mean;
   double sign = torque > limit - fall * step.mean ? 1.0 : torque < -limit - fall * step.mean ? -1.0 : 0.0;
   if (sign == 0.0) return step;
   return slide(A, b, v, sign * limit, fall + viscous, s->friction, h);
@@ -84,15 +87,17 @@ static void solve(const Joint *s, const double *p, double m, double b, double h,
                   Step *motor) {
   double J = p[ARMATURE], half = 0.5 * p[PLAY];
   if (half == 0.0) {
-    *motor = drive(s, p, m + J, b + J * s->motor, h);
+    *motor = drive(s, p, m + J, b + J * s->motor, s->motor, 1.0, 0.0, h);
     *links = *motor;
   } else {
-    *motor = drive(s, p, J, J * s->motor, h);
     *links = (Step){b / m, 0.5 * (s->v + b / m)};
+    *motor = drive(s, p, J, J * s->motor, s->motor, 0.0, -links->mean, h);
     double gap = s->gap + h * (motor->mean - links->mean);
     if (gap > half || gap < -half) { /* both flanks move together */
+      /* Of the mean velocities: w apart. Momentum counts links as fast as the motor side. */
       double w = ((gap > half ? half : -half) - s->gap) / h;
-      *motor = drive(s, p, m + J, b + m * w + J * s->motor, h);
+      double v = (m * (s->v + w) + J * s->motor) / (m + J);
+      *motor = drive(s, p, m + J, b + m * w + J * s->motor, v, 1.0, w, h);
       *links = (Step){motor->v - w, motor->mean - w};
     }
   }

@@ -202,6 +202,22 @@ def test_play_delays_a_reversal_by_its_width() -> None:
         simulate(robot, [dataclasses.replace(drive, armature=0.0)], time, command, [0.0])
 
 
+@pytest.mark.parametrize(("step", "error"), [(5e-4, 1e-5), (2e-3, 4e-5)])
+def test_links_coast_through_the_play_and_take_the_motor_along(step: float, error: float) -> None:
+    """A motor that friction brakes, from 1 rad/s: links meet the other flank without a rebound."""
+    friction, armature, play, speed = 0.5, 0.01, 0.0175, 1.0
+    drive = ServoDrive(gain=1e-9, armature=armature, coulomb=friction, play=play)
+    time = np.arange(0.0, 0.2, 0.02)
+    got = simulate(
+        pendulum(), [drive], time, np.zeros((time.size, 1)), [0.0], [speed], longest_step=step
+    )
+    meeting = np.sqrt(play * armature / friction)
+    both = armature + INERTIA
+    after = speed - armature / both * friction / armature * meeting
+    want = speed * meeting + after**2 * both / (2.0 * friction)
+    assert got[-1, 0] == pytest.approx(want, abs=error)
+
+
 def test_masses_and_torques_scale_together(tmp_path: Path) -> None:
     robot, command = arm(tmp_path), held_sines(TIME, 3)
     assert robot.links is not None
