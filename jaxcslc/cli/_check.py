@@ -7,23 +7,36 @@ from .._plain_data import record_document
 from ..checks import check
 from ._common import Context, Output, command
 from ._inputs import Drives, RecordingOptions, RobotArgument, RobotPart, robot_notes
-from ._options import argument
+from ._options import UsageError, argument
+from ._servo import SERVO_READING, ServoReading, check_servo_recordings
 
 
-@command("checks", "check arm.urdf log.csv", "check arm.urdf morning.csv noon.csv --fix gripper")
+@command(
+    "checks",
+    "check arm.urdf log.csv",
+    "check arm.urdf morning.csv noon.csv --fix gripper",
+    "check legs.urdf log.csv --drive servo --known gain=20 --known damping=1.5",
+)
 def check_command(
     context: Context,
     robot: RobotArgument,
     recordings: Annotated[list[Path], argument("RECORDING...", "Recordings of the robot.")],
     part: RobotPart,
     drives: Drives,
+    servo: ServoReading,
     options: RecordingOptions,
 ) -> Output:
     """Check recordings for wrong units, signs, times and samples, before anything is identified.
 
-    Prints what was read, and what looks wrong, with the likely cause and what to do about it. Exit
-    code 0: nothing looks wrong; 1: something does; 2: wrong input.
+    Prints what was read, and what looks wrong, with the likely cause and what to do about it. Of
+    position servos (--drive servo), it checks that the base does not move. Exit code 0: nothing
+    looks wrong; 1: something does; 2: wrong input.
     """
+    if servo.drive == "servo":
+        with context.progress("reading") as step:
+            return check_servo_recordings(context, robot, servo, recordings, part, options, step)
+    if others := sorted(context.typed & SERVO_READING):
+        raise UsageError(f"--{others[0]}: only with --drive servo")
     with context.progress("reading") as step:
         manipulator = part.read(robot)
         names = [str(path) for path in recordings]

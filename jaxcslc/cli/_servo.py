@@ -1,4 +1,4 @@
-"""`jaxcslc identify --drive servo`: its options, recordings and report."""
+"""`jaxcslc identify --drive servo` and `check --drive servo`: options, recordings and report."""
 
 import dataclasses
 import math
@@ -8,10 +8,12 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from ..checks import Finding
 from ..manipulator import LinkParameters, Manipulator, seen_from
 from ..servo import (
     SERVO_FILES,
     ServoRecording,
+    check_servos,
     identify_servo,
     load_servo_recordings,
     servo_report,
@@ -26,13 +28,24 @@ _GROUP = "servo"
 _ENOUGH, _HELD_OUT = 5, 5
 _OPTIONS = {
     *(field.name for field in dataclasses.fields(RobotPart)),
-    *("robot", "train", "validate", "output", "overwrite", "columns", "between", "json", "quiet"),
+    *(
+        "robot",
+        "recordings",
+        "train",
+        "validate",
+        "output",
+        "overwrite",
+        "columns",
+        "between",
+        "json",
+        "quiet",
+    ),
 }
 
 
 @dataclasses.dataclass(frozen=True)
-class ServoOptions:
-    """Drive of the joints, and recordings of servos."""
+class ServoReading:
+    """Drive of the joints, and how recordings of servos are read."""
 
     drive: Annotated[
         Literal["torque", "servo"],
@@ -58,6 +71,61 @@ class ServoOptions:
             help="LeRobot's calibration file of the arm, for normalised units and grippers.",
         ),
     ] = None
+    known: Annotated[
+        list[str] | None,
+        option(
+            group=_GROUP,
+            metavar="NAME=VALUE",
+            help="Parameter of the drives that is known, in SI units: one value, or one per joint,"
+            " as in gain=20 or damping=1.5,1.5,2. May be repeated. Wins over the robot file's"
+            " [drive].",
+        ),
+    ] = None
+
+    def __post_init__(self) -> None:
+        self.known_parameters()
+
+    def known_parameters(self) -> dict[str, float | list[float]]:
+        """Return the parameters that are known, by name."""
+        found: dict[str, float | list[float]] = {}
+        for text in self.known or ():
+            name, _, numbers = text.partition("=")
+            try:
+                values = [float(x) for x in numbers.split(",")]
+            except ValueError:
+                raise UsageError(
+                    f"--known: expected NAME=VALUE, as in gain=20, got {text!r}"
+                ) from None
+            found[name.strip()] = values[0] if len(values) == 1 else values
+        return found
+
+    def read(
+        self, paths: Sequence[Path], robot: Manipulator, recordings: RecordingOptions
+    ) -> dict[str, ServoRecording]:
+        """Read recordings by name, their joints in the robot's order."""
+        found: dict[str, ServoRecording] = {}
+        for path in paths:
+            of_file = load_servo_recordings(
+                path,
+                [robot.joint_names[joint] for joint in robot.independent_joints],
+                recordings.columns,
+                units=self.units,
+                calibration=self.calibration,
+            )
+            found |= {
+                key if key == path.name else f"{path.name}: {key}": value
+                for key, value in of_file.items()
+            }
+        if recordings.between is not None:
+            start, end = two_numbers(recordings.between)
+            found = {key: value.between(start, end) for key, value in found.items()}
+        return found
+
+
+@dataclasses.dataclass(frozen=True)
+class ServoOptions(ServoReading):
+    """The same, and recordings with a payload."""
+
     loaded: Annotated[
         list[Path] | None,
         option(
@@ -79,38 +147,13 @@ class ServoOptions:
         ),
     ] = "0,0,0"
 
-    known: Annotated[
-        list[str] | None,
-        option(
-            group=_GROUP,
-            metavar="NAME=VALUE",
-            help="Parameter of the drives that is known, in SI units: one value, or one per joint,"
-            " as in gain=20 or damping=1.5,1.5,2. May be repeated. Wins over the robot file's"
-            " [drive].",
-        ),
-    ] = None
-
     def __post_init__(self) -> None:
         if (self.loaded is None) != (self.mass is None):
             raise UsageError("--loaded and --mass: got one of them; expected both or neither")
         if self.mass is not None and not 0.0 < self.mass < math.inf:
             raise UsageError(f"--mass: expected more than 0 kg, got {self.mass:g}")
         self._centre()
-        self.known_parameters()
-
-    def known_parameters(self) -> dict[str, float | list[float]]:
-        """Return the parameters that are known, by name."""
-        found: dict[str, float | list[float]] = {}
-        for text in self.known or ():
-            name, _, numbers = text.partition("=")
-            try:
-                values = [float(x) for x in numbers.split(",")]
-            except ValueError:
-                raise UsageError(
-                    f"--known: expected NAME=VALUE, as in gain=20, got {text!r}"
-                ) from None
-            found[name.strip()] = values[0] if len(values) == 1 else values
-        return found
+        super().__post_init__()
 
     def _centre(self) -> list[float]:
         try:
@@ -131,8 +174,49 @@ class ServoOptions:
         return seen_from(body, source.placements[-1])
 
 
+SERVO_READING = {field.name for field in dataclasses.fields(ServoReading)} - {"drive"}
 SERVO_OPTIONS = {field.name for field in dataclasses.fields(ServoOptions)} - {"drive"}
 """Options that are of servos alone."""
+
+
+def check_servo_recordings(
+    context: Context,
+    name: str,
+    options: ServoReading,
+    paths: Sequence[Path],
+    part: RobotPart,
+    recordings: RecordingOptions,
+    step: Callable[[str], None],
+) -> Output:
+    """Say whether the base moved in recordings of servos.
+
+    **Raises** `ValueError`: options that are of torques, and as `check_servos`.
+    """
+    _refuse_others(context, SERVO_READING)
+    robot = part.read(name)
+    read = options.read(paths, robot, recordings)
+    known = dict(robot.drive or {}) | options.known_parameters()
+    step("regressing")
+    lines: list[str] = []
+    findings: list[Finding] = []
+    for label, recording in read.items():
+        seconds = float(recording.time[-1] - recording.time[0])
+        lines.append(f"{label}: {recording.samples} samples in {seconds:.4g} s")
+        found = check_servos(robot, recording, known)
+        findings += [
+            dataclasses.replace(x, recording=label if len(read) > 1 else "") for x in found
+        ]
+    lines += ["", *(f"warning: {x}" for x in findings)] if findings else ["nothing looks wrong"]
+    return Output(
+        "\n".join([*lines, *robot_notes(robot)]),
+        lambda: {"findings": [dataclasses.asdict(x) for x in findings]},
+        status=1 if findings else 0,
+    )
+
+
+def _refuse_others(context: Context, own: set[str]) -> None:
+    if others := sorted(context.typed - _OPTIONS - own - {"drive"}):
+        raise ValueError(f"--{others[0].replace('_', '-')}: not with --drive servo")
 
 
 def identify_servos(
@@ -150,29 +234,12 @@ def identify_servos(
 
     **Raises** `ValueError`: options that are of torques, and as `identify_servo`.
     """
-    if others := sorted(context.typed - _OPTIONS - SERVO_OPTIONS - {"drive"}):
-        raise ValueError(f"--{others[0].replace('_', '-')}: not with --drive servo")
+    _refuse_others(context, SERVO_OPTIONS)
     context.check_output([output / file for file in SERVO_FILES], folder=output)
     robot = part.read(name)
 
     def read(paths: Sequence[Path]) -> dict[str, ServoRecording]:
-        found: dict[str, ServoRecording] = {}
-        for path in paths:
-            of_file = load_servo_recordings(
-                path,
-                [robot.joint_names[joint] for joint in robot.independent_joints],
-                recordings.columns,
-                units=options.units,
-                calibration=options.calibration,
-            )
-            found |= {
-                key if key == path.name else f"{path.name}: {key}": value
-                for key, value in of_file.items()
-            }
-        if recordings.between is not None:
-            start, end = two_numbers(recordings.between)
-            found = {key: value.between(start, end) for key, value in found.items()}
-        return found
+        return options.read(paths, robot, recordings)
 
     training = read(train)
     held_out: Mapping[str, ServoRecording] = {} if validate is None else read([validate])

@@ -15,7 +15,7 @@ Modules, in reading order:
 - `_sensitivity`: derivatives of all joints' positions with respect to all unknowns.
 - `_intervals`: covariance of all unknowns, and intervals of the parameters.
 - `_identifiability`: what recordings cannot tell apart, and what would.
-- `_base`: whether the base moved.
+- `_base`, `_check`: whether the base moved; the same before anything is identified.
 - `_current`: currents as readings of the torque.
 - `_fit`: `identify_servo` and its result.
 - `_mjcf`: MuJoCo models of an arm of servos, and replay of commands in them.
@@ -23,6 +23,7 @@ Modules, in reading order:
 - `_results`: a report on it: text, JSON, a page, and files for simulators.
 """
 
+from ._check import check_servos as check_servos
 from ._current import CurrentGain as CurrentGain
 from ._drive import (
     DRIVE_UNITS as DRIVE_UNITS,
@@ -70,6 +71,7 @@ __all__ = [
     "ServoRecording",
     "ServoReport",
     "WrittenServoArm",
+    "check_servos",
     "identify_servo",
     "load_servo_recording",
     "load_servo_recordings",

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
+from ..checks import Finding
 from ..manipulator import Manipulator, link_poses
 from ._drive import ServoDrive
 from ._recording import ServoRecording
@@ -26,13 +27,13 @@ _EXPLAINED = 0.5  # part of the torques beyond what chance explains, from which 
 _NOTICEABLE = 0.1  # m/s² RMS: 0.6 degrees of tilt
 
 
-def base_note(
+def base_motion(
     robot: Manipulator,
     drives: Sequence[ServoDrive],
     recordings: Sequence[ServoRecording],
     smooth: Sequence[tuple[Float[np.ndarray, "samples joints"], ...]],
-) -> str | None:
-    """Return a sentence if the base moved.
+) -> Finding | None:
+    """Return the evidence if the base moved.
 
     - `smooth`: position, velocity and acceleration of each recording.
     """
@@ -72,10 +73,13 @@ def base_note(
     felt = math.sqrt(float(np.sum(np.var(np.array(accelerations), axis=0))))
     if part < _EXPLAINED or felt < _NOTICEABLE:
         return None
-    return (
-        f"The base moves: one acceleration of the base, {felt:.1g} m/s² RMS, explains"
-        f" {100.0 * part:.0f} % of the torque that the drives do not. The model has a fixed base:"
-        " clamp it, or move fewer joints at a time, and record again."
+    return Finding(
+        "base",
+        "",
+        f"one acceleration of the base, {felt:.1g} m/s² RMS, explains {100.0 * part:.0f} % of the"
+        " torque that the drives do not",
+        "the base moves, and the model has a fixed one",
+        "clamp it, or move fewer joints at a time, and record again",
     )
 
 

@@ -24,7 +24,7 @@ from jaxtyping import Bool, Float
 from .._display import Progress, steps as progress_steps
 from ..manipulator import LinkParameters, Manipulator
 from ..recordings import encoder_resolution
-from ._base import base_note
+from ._base import base_motion
 from ._current import CurrentGain, current_gains
 from ._drive import ServoDrive
 from ._identifiability import ALONE, ConfoundedParameters, confounded
@@ -206,7 +206,7 @@ def identify_servo(
     if estimated is None:
         estimated = (*ESTIMATED, "viscous") if "damping" in (known or {}) else ESTIMATED
     _check(robot, given, carried, estimated, mass_error)
-    base = _known_rows(robot, given, known or {})
+    base = known_rows(robot, given, known or {})
     names = tuple(name for name in estimated if name not in (known or {}))
     with progress_steps(progress, "identify servos") as step:
         search = _Search(robot, given, carried, base, names)
@@ -244,7 +244,7 @@ def _check(
         raise ValueError(f"mass_error: expected at least 0, got {mass_error}")
 
 
-def _known_rows(
+def known_rows(
     robot: Manipulator,
     recordings: Sequence[ServoRecording],
     known: Mapping[str, float | Sequence[float]],
@@ -263,7 +263,7 @@ def _known_rows(
     return rows
 
 
-def _smoothed(
+def smoothed(
     recording: ServoRecording,
 ) -> tuple[Float[np.ndarray, "samples joints"], ...]:
     """Return position, velocity and acceleration by local cubic polynomials."""
@@ -299,7 +299,7 @@ class _Search:
     names: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        self.smooth = [_smoothed(x) for x in self.recordings]
+        self.smooth = [smoothed(x) for x in self.recordings]
         self.velocities = [_start_velocity(x) for x in self.recordings]
         self.offsets = self.base[:, NAMES.index("offset")].copy()
         self.masses = 1.0
@@ -400,7 +400,7 @@ class _Search:
             ServoDrive(*map(float, problem.rows(x[None])[0]))
             for problem, x in zip(self.problems, unknowns, strict=True)
         ]
-        robot = _scaled(self.robot, masses)
+        robot = scaled(self.robot, masses)
 
         def positions(k: int) -> Float[np.ndarray, "samples joints"]:
             recording = self.recordings[k]
@@ -539,7 +539,7 @@ class _Search:
 
     def sensitivities(self) -> list[Float[np.ndarray, "samples all"]]:
         """Return derivatives of each joint's positions with respect to all unknowns."""
-        robot = _scaled(self.robot, self.masses)
+        robot = scaled(self.robot, self.masses)
         couplings = [
             Coupling.of(with_payload(robot, payload), q - self.offsets, v, a)
             for (q, v, a), payload in zip(self.smooth, self.payloads, strict=True)
@@ -604,12 +604,14 @@ class _Search:
             if name in ALONE
         ]
         drives = tuple(ServoDrive(*map(float, row)) for row in rows)
-        robot = _scaled(self.robot, self.masses)
+        robot = scaled(self.robot, self.masses)
         empty = [x for x, load in zip(self.recordings, self.payloads, strict=True) if load is None]
-        moved = base_note(robot, drives, empty, [_smoothed(x) for x in empty]) if empty else None
+        moved = base_motion(robot, drives, empty, [smoothed(x) for x in empty]) if empty else None
         if moved is not None:
-            self.notes.append(moved)
-        velocities = [_smoothed(x)[1] for x in self.recordings]
+            self.notes.append(
+                f"The base moves: {moved.evidence}. The model has a fixed base: {moved.remedy}."
+            )
+        velocities = [smoothed(x)[1] for x in self.recordings]
         currents = current_gains(drives, self.recordings, velocities)
         return ServoFit(
             robot,
@@ -633,7 +635,7 @@ class _Search:
                 rows[i, high] = min(rows[i, high], limits.high + rows[i, offset])
 
 
-def _scaled(robot: Manipulator, factor: float) -> Manipulator:
+def scaled(robot: Manipulator, factor: float) -> Manipulator:
     links = tuple(
         LinkParameters(
             factor * link.mass, link.centre_of_gravity, factor * link.inertia, link.motor_inertia

@@ -119,6 +119,18 @@ def test_logs_of_servos_are_named(folder: Path) -> None:
     assert "--units: only with --drive servo" in result.stderr
 
 
+def test_recordings_are_checked(folder: Path) -> None:
+    """Of an arm on a fixed base nothing looks wrong; options of a payload are of `identify`."""
+    line = ("check", folder / "arm.urdf", folder / "set", "--units", "degrees")
+    result = run(*line, "--drive", "servo")
+    assert result.exit_code == 0, result.output
+    assert "set: episode 19: 150 samples in 4.967 s" in result.output
+    assert result.output.rstrip().endswith("nothing looks wrong")
+    assert "--units: only with --drive servo" in run(*line).stderr
+    result = run(*line, "--drive", "servo", "--friction", "viscous")
+    assert "--friction: not with --drive servo" in result.stderr
+
+
 def test_a_payload_of_known_mass(folder: Path) -> None:
     """A recording with a payload: the same fit takes both."""
     robot = jc.load_robot(folder / "arm.urdf")

@@ -214,7 +214,8 @@ def _servo(draw: random.Random, templates: Path, folder: Path) -> Lines:
         arm = _mutated(draw, templates, folder, arm.name)
     else:
         log = _mutated(draw, templates, folder, log.name)
-    return [["identify", arm, log, "--drive", "servo", "-o", folder / "out", *_json(draw)]]
+    servo = [arm, log, "--drive", "servo", *_json(draw)]
+    return [["check", *servo], ["identify", *servo, "-o", folder / "out"]]
 
 
 def _names(draw: random.Random, templates: Path, folder: Path) -> Lines:

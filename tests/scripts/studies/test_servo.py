@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxcslc.servo import identify_servo
+from jaxcslc.servo import check_servos, identify_servo
 from scripts.studies.servo import legs
 from scripts.studies.servo.arms import LINKS, TICK, Servos, new_command, recorded, robot
 from scripts.studies.servo.cases import CASES, LEVEL, UPRIGHT
@@ -52,7 +52,9 @@ def test_a_base_that_moves_is_named(base: str, named: bool) -> None:
     recording = legs.recorded(drives, legs.command_of(6.0, rng), base)
     known = {"gain": legs.GAIN, "damping": legs.DAMPING}
     names = ("delay", "offset", "armature", "coulomb", "viscous")
-    fit = identify_servo(legs.robot(), recording, known=known, estimated=names)
+    robot = legs.robot()
+    assert [x.kind for x in check_servos(robot, recording, known)] == named * ["base"]
+    fit = identify_servo(robot, recording, known=known, estimated=names)
     assert any(note.startswith("The base moves") for note in fit.notes) == named
     if not named:
         for i, drive in enumerate(fit.drives):
