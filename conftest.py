@@ -103,29 +103,32 @@ gc.set_threshold(50_000, 20, 20)
 
 # Annotations are checked at run time by jaxtyping's import hook. A check takes 60 µs, a simulated
 # sample had forty of them, and a local function was prepared for its checks (1 ms) whenever the
-# function around it ran: two thirds of the time of a recording. In each test, every function's
-# first calls are checked; then those with arguments of other types and shapes; of many, some.
+# function around it ran: two thirds of the time of a recording. In each file of tests, every
+# function's first calls are checked; then, among the first of each test, those with arguments of
+# types and shapes that are new in the file; of many, some. Checking first calls anew in each test
+# took a fifth of the suite's time.
 _ALL_CHECKED = 3
-_OTHERS_CHECKED = 20
+_OTHERS_CHECKED = 20  # first calls of a test
 _CHECKED_LATER = 100  # one in so many
 
 _check_annotations: Any = jaxtyping.jaxtyped
 
 
 class _Calls:
-    """Of a function in one test: of every function with its code if it is local to another."""
+    """Of a function: of every function with its code if it is local to another."""
 
-    __slots__ = ("checks", "count", "kinds")
+    __slots__ = ("checks", "count", "first", "kinds")
 
     def __init__(self) -> None:
-        self.count = 0
-        self.kinds: set[Any] = set()
+        self.count = 0  # in this test
+        self.first = 0  # checked in this file of tests, up to `_ALL_CHECKED`
+        self.kinds: set[Any] = set()  # checked in this file of tests
         # How a local function is checked: for each set of annotations, a function that calls the
         # one on top of `_running`.
         self.checks: list[tuple[dict[str, Any], Callable[..., Any]]] = []
 
 
-_called: list[_Calls] = []
+_called: set[_Calls] = set()  # in this file of tests
 _local: dict[CodeType, _Calls] = {}
 _running = threading.local()
 
@@ -155,12 +158,13 @@ def _checked_at_first(function: Any = None, *, typechecker: Any) -> Any:
         if count > _OTHERS_CHECKED and count % _CHECKED_LATER:
             return function(*args, **kwargs)
         if count == 1:
-            _called.append(calls)
+            _called.add(calls)
         kinds = None
         if count <= _OTHERS_CHECKED:
             kinds = (*map(_kind, args), *kwargs, *map(_kind, kwargs.values()))
-            if count > _ALL_CHECKED and kinds in calls.kinds:
+            if calls.first == _ALL_CHECKED and kinds in calls.kinds:
                 return function(*args, **kwargs)
+        calls.first = min(calls.first + 1, _ALL_CHECKED)
         if checked is None:
             prepare = _checked_local if local else _check_annotations
             checked = prepare(function, typechecker=typechecker)
@@ -220,23 +224,25 @@ jaxtyping.jaxtyped = _checked_at_first
 
 
 def pytest_runtest_setup() -> None:
-    """Each test's first calls are checked."""
+    """Calls are counted in each test."""
     for calls in _called:
         calls.count = 0
-        calls.kinds.clear()
-    _called.clear()
 
 
 # A compiled program takes 1.3 MB and some memory maps, of which Linux allows a process 65,530: with
 # every program of the suite, a worker would take 10 GB, or end when it loads one too many.
-_MOST_MAPS = 30_000
-_MOST_MEMORY = 1_300_000  # kB
+_MOST_MAPS = 40_000
+_MOST_MEMORY = 2_000_000  # kB
 
 
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
-    """Between modules, forgets compiled programs if there are many."""
+    """Between files, annotations are checked anew, and many compiled programs forgotten."""
     if nextitem is not None and nextitem.path == item.path:
         return
+    for calls in _called:
+        calls.count = calls.first = 0
+        calls.kinds.clear()
+    _called.clear()
     status, maps = Path("/proc/self/status"), Path("/proc/self/maps")
     if not (status.exists() and maps.exists()):  # not Linux
         return

@@ -1,5 +1,5 @@
-"""The tests check annotations of shape at run time: each function's first calls, those with
-arguments of other types and shapes, and some of many."""
+"""The tests check annotations of shape at run time: each function's first calls in a
+file, those with arguments of other types and shapes, and some of many."""
 
 import importlib
 import sys

@@ -101,7 +101,9 @@ def require_some_of(
 def keep_compiled() -> None:
     """Keeps compiled programs in the repository's `.cache` for later runs."""
     jax.config.update("jax_compilation_cache_dir", str(_ROOT / ".cache" / "jax"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    # Keep even the quickest compilations: there are hundreds of them.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
 def compile_quickly() -> None:

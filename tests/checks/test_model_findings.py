@@ -15,7 +15,7 @@ from jaxcslc.checks._channel_findings import Channels
 from jaxcslc.checks._evidence import Evidence
 from jaxcslc.checks._first_order import BLOCKS, FirstOrder, gravity_columns
 from jaxcslc.checks._model_findings import file_factors
-from scripts.studies.checks.robots import FILES, Conditions, Fault, arm, record
+from scripts.studies.checks.robots import FILES, Conditions, Fault, Run, arm, record
 from scripts.studies.checks.spoiler import clean_conditions
 
 
@@ -24,8 +24,8 @@ ARM, SEED = "Gen2", 4
 PART = 0.1
 
 
-def recorded(fault: Fault | None = None) -> jc.Recording:
-    return record(ARM, Conditions(duration=16.0), SEED, fault).recording
+def recorded(fault: Fault | None = None) -> Run:
+    return record(ARM, Conditions(duration=16.0), SEED, fault)
 
 
 @pytest.fixture(scope="module")
@@ -34,8 +34,13 @@ def network() -> jc.CSLC:
 
 
 @pytest.fixture(scope="module")
-def clean() -> jc.Recording:
+def run() -> Run:
     return recorded()
+
+
+@pytest.fixture(scope="module")
+def clean(run: Run) -> jc.Recording:
+    return run.recording
 
 
 @pytest.fixture(scope="module")
@@ -121,12 +126,12 @@ CASES: dict[str, tuple[Callable[[jc.Recording], jc.Recording], str, str, str]] =
     "zero": (lambda r: with_position(r, 2, lambda q: q + 0.2), "zero position", "joint_3", "11."),
     "ticks": (lambda r: with_position(r, 2, lambda q: 1.5 * q), "position scale", "joint_3", "1.5"),
     "clock": (lambda r: dataclasses.replace(r, time=1.5 * r.time), "clock", "", "divided by 1."),
-    "tilt": (lambda r: recorded(Fault(tilt=(0.3, 0.0))), "mounting", "", "17."),
-    "turned": (lambda r: recorded(Fault(tilt=(np.pi, 0.0))), "mounting", "", "other way"),
-    "drift": (lambda r: recorded(Fault(drift=0.5)), "drift", "joint_1", "changes"),
-    "tool": (lambda r: recorded(Fault(tool=0.5)), "tool change", "", "from 8"),
-    "contact": (lambda r: recorded(Fault(push=20.0)), "contact", "joint_2", "from 5.6"),
-    "stop": (lambda r: recorded(Fault(stop=(1, 0.8))), "stop", "joint_2", "highest"),
+    "tilt": (lambda r: recorded(Fault(tilt=(0.3, 0.0))).recording, "mounting", "", "17."),
+    "turned": (lambda r: recorded(Fault(tilt=(np.pi, 0.0))).recording, "mounting", "", "other way"),
+    "drift": (lambda r: recorded(Fault(drift=0.5)).recording, "drift", "joint_1", "changes"),
+    "tool": (lambda r: recorded(Fault(tool=0.5)).recording, "tool change", "", "from 8"),
+    "contact": (lambda r: recorded(Fault(push=20.0)).recording, "contact", "joint_2", "from 5.6"),
+    "stop": (lambda r: recorded(Fault(stop=(1, 0.8))).recording, "stop", "joint_2", "highest"),
 }
 
 
@@ -139,8 +144,7 @@ def test_each_cause_is_named_first(name: str, network: jc.CSLC, clean: jc.Record
     assert text in first.evidence
 
 
-def test_gravity_that_was_taken_out(network: jc.CSLC) -> None:
-    run = record(ARM, Conditions(duration=16.0), SEED)
+def test_gravity_that_was_taken_out(network: jc.CSLC, run: Run) -> None:
     recording = dataclasses.replace(run.recording, torque=run.recording.torque - run.gravity)
     assert jc.check(network, recording).findings[0].kind == "gravity compensation"
 
@@ -184,8 +188,7 @@ def test_a_short_recording_is_no_other_robot() -> None:
     assert not kinds & {"wrong robot", "stop"}
 
 
-def test_torques_at_the_end_of_a_sensor(network: jc.CSLC) -> None:
-    run = record(ARM, Conditions(duration=16.0), SEED)
+def test_torques_at_the_end_of_a_sensor(network: jc.CSLC, run: Run) -> None:
     torque = run.recording.torque - run.noise
     torque[:, 1] = np.clip(torque[:, 1], -10.0, 10.0)
     limited = dataclasses.replace(run.recording, torque=torque + run.noise)
@@ -292,8 +295,7 @@ def test_torques_beyond_the_limits_of_the_file_are_named(
     assert (found.kind, found.joint) == ("torque limit", network.output_names[joint])
 
 
-def test_torques_of_a_controllers_model_are_named(network: jc.CSLC) -> None:
-    run = record(ARM, Conditions(duration=16.0), SEED)
+def test_torques_of_a_controllers_model_are_named(network: jc.CSLC, run: Run) -> None:
     torque = run.gravity + run.motion
     (found,) = jc.check(network, dataclasses.replace(run.recording, torque=torque)).findings
     assert found.kind == "model torque"
