@@ -180,5 +180,21 @@ def confounded(
         correlation = covariance[0, 1] / (spread[0] * spread[1])
         vague = np.any(spread > _VAGUE * sizes[keep])
         if abs(correlation) > CONFOUNDED_FROM and vague:
+            if "dead_zone" in pair and correlation < 0.0:
+                covariance = covariance + _exchange(z[keep], covariance)
             found.append((ConfoundedParameters(joint, pair, reason, remedy), covariance))
     return found
+
+
+def _exchange(
+    values: Float[np.ndarray, "2"], covariance: Float[np.ndarray, "pair pair"]
+) -> Float[np.ndarray, "pair pair"]:
+    """Return the covariance of two values, one of which may be zero if the other takes its part.
+
+    A dead zone acts as friction whenever the joint moves. What separates them is less than the
+    roughness of simulated positions, which counts as information in derivatives.
+    """
+    slope = covariance[0, 1] / covariance[0, 0]
+    # Two standard deviations take the first value to where either is zero.
+    deviation = 0.5 * max(values[0], -values[1] / slope)
+    return deviation**2 * np.outer([1.0, slope], [1.0, slope])

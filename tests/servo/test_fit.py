@@ -231,6 +231,23 @@ def test_slow_motion_confounds_delay_and_damping(tmp_path: Path) -> None:
     assert ("delay", "damping") not in pairs(fast)
 
 
+@pytest.mark.parametrize("coulomb", [0.01, 0.05])
+def test_intervals_hold_whichever_of_dead_zone_and_friction_it_is(coulomb: float) -> None:
+    """Small motion of an unloaded joint cannot tell a dead zone from Coulomb friction."""
+    upright = dataclasses.replace(
+        jc.Manipulator.from_modified_dh([(0, 0, 0, 0)]),
+        links=(LinkParameters(0.3, np.array([0.15, 0.0, 0.01]), np.diag([2e-4, 1e-3, 1e-3])),),
+    )
+    drive = ServoDrive(12.0, 0.8, delay=0.03, armature=0.015, coulomb=coulomb, dead_zone=3 * TICK)
+    narrow = (0.05 * np.sin(2.0 * TIME) + 0.01 * np.sin(9.0 * TIME))[:, None]
+    names = ("gain", "damping", "delay", "armature", "coulomb", "dead_zone")
+    fit = identify_servo(upright, recorded(upright, [drive], narrow), estimated=names)
+    assert ("dead_zone", "coulomb") in {pair.parameters for pair in fit.confounded}
+    for name, true in (("coulomb/gain", coulomb / 12.0), ("dead_zone", 3 * TICK)):
+        parameter = fit.parameter(0, name)
+        assert parameter.low <= true <= parameter.high
+
+
 def test_refuses_what_does_not_belong_together(tmp_path: Path) -> None:
     robot = arm(tmp_path)
     recording = ServoRecording(TIME, np.zeros((TIME.size, 2)), np.zeros((TIME.size, 2)))
