@@ -183,6 +183,10 @@ def minimum(
     squares = xp.sum(reduced.remainder**2, axis=-1) + xp.sum(lost**2, axis=-1)
     half = columns * inverse[..., None, :] / scale[..., :, None]
 
+    # Without any regressor, there is no smallest singular value.
+    least = xp.min(xp.where(counted, singular, singular[..., :1]), axis=-1)
+    condition = xp.where(least > 0.0, singular[..., 0] / xp.where(least > 0.0, least, 1.0), xp.inf)
+
     # Null space of the scaled matrix, brought back to the coefficients' units.
     null = xp.where(counted[..., :, None], 0.0, right)
     solution = Solution(
@@ -190,8 +194,7 @@ def minimum(
         inverse_gram=half @ xp.swapaxes(half, -1, -2),
         variance=squares / degrees_of_freedom,
         rank=rank,
-        condition=singular[..., 0]
-        / xp.min(xp.where(counted, singular, singular[..., :1]), axis=-1),
+        condition=condition,
         undetermined=null / scale[..., None, :],
         determined=xp.sqrt(xp.sum(null**2, axis=-2)) < UNDETERMINED_SHARE,
         finite=reduced.finite,

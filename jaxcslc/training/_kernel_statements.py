@@ -612,11 +612,18 @@ def rule_statements(
     bare = AdaptiveNetwork(
         network.subnetworks, _no_preprocessing, network.activation, network.names
     )
-    return _rule_statements(bare, rule, learning, by_subnetwork)
+    try:
+        return _rule_statements(bare, rule, learning, by_subnetwork)
+    except _PreprocessingError:
+        return None
+
+
+class _PreprocessingError(Exception):
+    """A rule that needs the network's preprocessing, which statements do not have."""
 
 
 def _no_preprocessing(patterns: Any) -> Signals:
-    raise NotImplementedError
+    raise _PreprocessingError
 
 
 @lru_cache(maxsize=16)

@@ -160,6 +160,16 @@ class TestUndetermined:
         assert np.isinf(fit.standard_error[names.index("kv2")])
         assert_allclose(puma.torque(fit.k, q, qd, qdd), patterns.torque, atol=1e-8)
 
+    def test_no_motion_at_all_has_an_infinite_condition(self) -> None:
+        """A joint about the vertical, which motion alone loads, at rest."""
+        network = jc.derive(jc.examples.turntable("viscous"))
+        still, mask = np.zeros((50, 1)), np.ones((50, 1), bool)
+        for kind in (np.asarray, jnp.asarray):
+            arrays = (kind(x) for x in (still, still, still, still + 1.0, mask, mask))
+            fit = ORDINARY.fit(network, jc.Patterns(np.arange(50.0), *arrays))
+            assert (int(fit.rank), float(fit.condition)) == (0, np.inf)
+            assert not fit.meaningful and not np.any(np.asarray(fit.determined))
+
     def test_null_vectors_change_no_torque(
         self, puma: jc.CSLC, puma_k: jax.Array, rng: np.random.Generator
     ) -> None:

@@ -281,6 +281,13 @@ def test_what_has_no_statements(arm: AdaptiveNetwork) -> None:
     assert rule_statements(hidden, Backpropagation(), (True, True)) is None
     assert rule_statements(fully_connected([2, 1], "logistic"), PERAL(), (True,)) is None
 
+    class Preprocessing(PERAL):
+        def change(self, network: AdaptiveNetwork, *args: Any, **kwargs: Any) -> Array:
+            network.preprocess(jnp.zeros((1, 3, 2)))
+            return super().change(network, *args, **kwargs)
+
+    assert rule_statements(arm, Preprocessing(), layers) is None
+
 
 def test_what_is_traced_and_what_is_not() -> None:
     graph = Expressions()
