@@ -122,6 +122,7 @@ def _mapping(log: Path, stated: Path | None, robot: Manipulator, found: Decision
         for quantity in ("time", "position", "velocity", "torque"):
             if (table := mapping.get(quantity)) is not None:
                 columns, unit = table["columns"], table.get("unit", "SI units")
+                unit = unit if isinstance(unit, str) else ", ".join(unit)
                 shown = columns if isinstance(columns, str) else ", ".join(columns)
                 found.decide("columns", f"{quantity} is {shown} in {unit} (columns.{quantity})")
         if "constant" in mapping["torque"]:
@@ -139,7 +140,9 @@ def _by_values(
     joints = robot.independent_joints
     limits = [(robot.joint_limits[joint].low, robot.joint_limits[joint].high) for joint in joints]
     try:
-        mapping, assumed = mapping_by_values(log, _names(robot), limits)
+        kinds = [robot.kinds[joint] for joint in joints]
+        slides = [i for i, kind in enumerate(kinds) if kind == "P"]
+        mapping, assumed = mapping_by_values(log, _names(robot), limits, slides)
     except RecordingError as error:
         more = ", ..." if len(names) > _SHOWN else ""
         reason = str(error).removeprefix(f"{log}: ")
@@ -149,6 +152,8 @@ def _by_values(
             f" --columns: {_SYNTAX}"
         ) from None
     found.decide("columns", f"assumed by their values: {assumed} (columns)")
+    text = "if the torques are motor currents, set unit, constant and gear (columns.torque)"
+    found.decide("columns", text)
     return mapping
 
 

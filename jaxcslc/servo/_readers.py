@@ -81,7 +81,7 @@ def load_servo_recordings(
     if data_set is not None:
         mapping = ColumnMapping.load(columns) if isinstance(columns, str | os.PathLike) else columns
         raw = mapping is not None and any(
-            mapped.unit is not None
+            mapped.units
             for quantity, mapped in mapping.quantities.items()
             if quantity in ("position", "command")
         )

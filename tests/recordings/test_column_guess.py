@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jaxcslc.recordings import (
+    ColumnMapping,
     RecordingError,
     column_names_of,
     load_recording,
@@ -81,6 +82,38 @@ def test_values_that_do_not_tell(
     header = ",".join(["time", *(f"{x}{i}" for x in "abc"[: len(columns)] for i in (1, 2))])
     path = written(tmp_path / "log.csv", header, *columns)
     with pytest.raises(RecordingError, match=message):
+        mapping_by_values(path, NAMES, LIMITS)
+
+
+def test_one_joint_without_a_header(tmp_path: Path) -> None:
+    """The first of the columns is time: a joint's own are not left over."""
+    path = tmp_path / "one.csv"
+    np.savetxt(path, np.column_stack([TIME, POSITION[:, 0], TORQUE[:, 0]]))
+    mapping, assumed = mapping_by_values(path, NAMES[:1], LIMITS[:1])
+    assert {name: table["columns"] for name, table in mapping.items()} == {
+        "time": "column 1",
+        "position": ["column 2"],
+        "torque": ["column 3"],
+    }
+    assert assumed.endswith("column 3 are what is left, taken as torques")
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("m", 1.0), ("mm", 1e3)])
+def test_a_sliding_joint_has_a_unit_of_its_own(unit: str, factor: float, tmp_path: Path) -> None:
+    """Lengths lie within their limits in degrees too, which they are not in."""
+    scale = np.array([180.0 / np.pi, 0.2 * factor])
+    path = written(tmp_path / "log.csv", "t,a1,a2,b1,b2", scale * POSITION, TORQUE)
+    mapping, _ = mapping_by_values(path, NAMES, (LIMITS[0], (-0.4, 0.4)), [1])
+    assert mapping["position"]["unit"] == ["deg", unit]
+    found = load_recording(path, columns=ColumnMapping.of(mapping)).position
+    np.testing.assert_allclose(found, [1.0, 0.2] * POSITION, rtol=1e-12)
+
+
+def test_more_columns_than_joints(tmp_path: Path) -> None:
+    """A gripper's column may be the first or the last: nobody knows."""
+    header = "t,a1,a2,a3,b1,b2,b3"
+    path = written(tmp_path / "log.csv", header, POSITION, TIME, TORQUE, TIME)
+    with pytest.raises(RecordingError, match=r"elbow; a1 to a3 are 3; b1 to b3 are 3$"):
         mapping_by_values(path, NAMES, LIMITS)
 
 

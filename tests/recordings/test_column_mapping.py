@@ -105,6 +105,7 @@ def test_wrong_entries(document: dict[str, Any], expected: str) -> None:
         ({"torque": {"unit": "N m"}}, "expected columns = ...: the file's format has none"),
         ({"position": {"columns": "p_{joint}"}, "joints": None}, "no column 'p_1' of columns"),
         ({"torque": {"columns": "i{index}", "sign": [1, 1, 1]}}, "3 numbers of sign, constant"),
+        ({"torque": {"columns": "i{index}", "unit": ["N m"] * 3}}, "3 units; expected 2"),
         ({"time": {}}, "no column 'time' of columns"),
     ],
 )

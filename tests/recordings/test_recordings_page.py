@@ -38,4 +38,4 @@ def test_toml() -> None:
         ColumnMapping.of(tomllib.loads(example))
         for example in re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
     ]
-    assert [mapping.quantities["torque"].unit for mapping in mappings] == ["A", "A"]
+    assert [mapping.quantities["torque"].units for mapping in mappings] == [("A",), ("A",)]

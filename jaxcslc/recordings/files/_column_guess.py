@@ -6,7 +6,7 @@ What comes out is a mapping as in `_column_mapping`.
 import itertools
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -120,6 +120,7 @@ _NOISELESS = 1e-6  # part of the deviation: what formats round to
 # Positions are beyond the file's limits by no more than this [rad or m, as a part of the limit].
 _BEYOND = 0.1
 
+_LISTED = 4  # runs of columns in a message
 _UNNAMED = "column {number}"  # what columns of files without a header line are called
 
 _Family = Float[np.ndarray, "samples joints"]
@@ -129,6 +130,7 @@ def mapping_by_values(
     path: str | os.PathLike[str],
     joints: Sequence[str],
     limits: Sequence[tuple[float, float]],
+    prismatic: Collection[int] = (),
 ) -> tuple[dict[str, Any], str]:
     """Guess which columns are time, positions, velocities and torques, by their values.
 
@@ -141,6 +143,7 @@ def mapping_by_values(
     - `path`: of the file.
     - `joints`: of the robot.
     - `limits`: low and high of each [rad or m]; infinite where the robot's file has none.
+    - `prismatic`: the joints, from 0, that are.
 
     **Returns** a mapping as in `docs/recordings.md`, and what was assumed, in a few words.
 
@@ -159,11 +162,13 @@ def mapping_by_values(
     ({'columns': ['a1']}, {'columns': ['b1']})
     """
     names = column_names_of(path)
-    families = _families(names, len(joints))
+    families, others = _families(names, len(joints))
     if len(families) < 2:
+        found = [f"; {name} are {len(run)}" for name, run in others.items()]
         raise RecordingError(
             f"no positions and torques are found among them: expected {len(joints)} columns of each"
             f" with running numbers, or in a row, for the joints {', '.join(joints)}"
+            + "".join(found[:_LISTED])
         )
     time, columns = _timed(path, names, families)
     stamps = columns["time"]
@@ -173,36 +178,47 @@ def mapping_by_values(
         for name, members in families.items()
     }
     values = {name: x for name, x in values.items() if np.ptp(x, axis=0).any()}
-    kinds, assumed = _kinds(values, interval, np.array(limits, float).reshape(-1, 2))
+    units = {
+        name: _units_within(x, np.array(limits, float).reshape(-1, 2), prismatic)
+        for name, x in values.items()
+    }
+    kinds, assumed = _kinds(values, interval, units)
     mapping: dict[str, Any] = {"time": _table(time, "time")}
     for name, (kind, of_kind) in kinds.items():
-        mapping[kind] = {"columns": families[name]} | ({} if of_kind is None else {"unit": of_kind})
+        mapping[kind] = {"columns": families[name]}
+        if any(unit not in _SI for unit in of_kind):
+            same = len(set(of_kind)) == 1
+            mapping[kind]["unit"] = of_kind[0] if same else list(of_kind)
     return mapping, assumed
 
 
-def _families(names: Sequence[str], count: int) -> dict[str, list[str]]:
-    """Return runs of as many columns as joints, by what their names have in common."""
+def _families(
+    names: Sequence[str], count: int
+) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+    """Return runs of as many columns as joints, by what their names have in common.
+
+    **Returns** the runs, and those of other numbers of columns, more than the joints.
+    """
     found: dict[str, list[str]] = {}
+    others: dict[str, list[str]] = {}
     used: set[str] = set()
     for template, columns in _groups(names, ()).items():
         if _words(template) & _COMMANDED:
             continue
         numbers = sorted(number for number in columns if columns[number] not in used)
+        if len(numbers) < count or numbers != list(range(numbers[0], numbers[0] + len(numbers))):
+            continue
+        run = [columns[number] for number in numbers]
         # Of a file without names, a first column that is left over counts time, or rows.
-        over = len(numbers) % count
-        if over and template != _UNNAMED:
+        over = 1 if template == _UNNAMED and (count == 1 or len(run) % count == 1) else 0
+        if (len(run) - over) % count:
+            others[f"{run[0]} to {run[-1]}"] = run
             continue
-        if len(numbers) < count or over > (1 if len(numbers) > count else 0):
-            continue
-        numbers = numbers[over:]
-        if numbers != list(range(numbers[0], numbers[0] + len(numbers))):
-            continue
-        runs = [columns[number] for number in numbers]
-        for start in range(0, len(runs), count):
-            members = runs[start : start + count]
+        for start in range(over, len(run), count):
+            members = run[start : start + count]
             used.update(members)
             found[f"{members[0]} to {members[-1]}" if count > 1 else members[0]] = members
-    return found
+    return found, others
 
 
 def _timed(
@@ -224,13 +240,14 @@ def _timed(
 
 
 def _kinds(
-    values: Mapping[str, _Family], interval: float, limits: Float[np.ndarray, "joints 2"]
-) -> tuple[dict[str, tuple[str, str | None]], str]:
-    """Return the quantity and the unit of families, and what was assumed.
+    values: Mapping[str, _Family], interval: float, units: Mapping[str, tuple[str, ...] | None]
+) -> tuple[dict[str, tuple[str, tuple[str, ...]]], str]:
+    """Return the quantity and the units of families, and what was assumed.
+
+    - `units`: in which each lies within the joints' limits, as `_units_within` returns them.
 
     **Raises** `RecordingError` where the values do not tell.
     """
-    units = {name: _angle_unit(x, limits) for name, x in values.items()}
     slopes = {
         (of, name)
         for of, name in itertools.permutations(values, 2)
@@ -261,25 +278,49 @@ def _kinds(
     torques = [name for name in candidates if name != position]
     if len(torques) > 1:
         raise RecordingError(f"{' and '.join(torques)} may both be torques")
-    unit = units[position] or "rad"
-    kinds = {position: ("position", None if unit == "rad" else unit)}
-    reasons = [f"{position} lie within the joints' limits in {unit} and are smoothest"]
+    own = units[position] or ()
+    kinds = {position: ("position", own)}
+    within = " and ".join(dict.fromkeys(own))
+    reasons = [f"{position} lie within the joints' limits in {within} and are smoothest"]
     for name in (name for of, name in slopes if of == position):
-        kinds[name] = ("velocity", None if unit == "rad" else f"{unit}/s")
+        kinds[name] = ("velocity", tuple(f"{unit}/s" for unit in own))
         reasons.append(f"{name} are their slopes")
-    kinds[torques[0]] = ("torque", None)
-    return kinds, "; ".join([*reasons, f"{torques[0]} are what is left"])
+    kinds[torques[0]] = ("torque", ())
+    reasons.append(f"{torques[0]} are what is left, taken as torques")
+    return kinds, "; ".join(reasons)
 
 
-def _angle_unit(x: _Family, limits: Float[np.ndarray, "joints 2"]) -> str | None:
-    """Return the unit in which values lie within limits: rad, deg, or None for neither."""
+_ANGLES = (("rad", 1.0), ("deg", np.pi / 180.0))
+_LENGTHS = (("m", 1.0), ("mm", 1e-3))
+_SI = ("rad", "m", "rad/s", "m/s")
+
+
+def _units_within(
+    x: _Family, limits: Float[np.ndarray, "joints 2"], prismatic: Collection[int]
+) -> tuple[str, ...] | None:
+    """Return the unit of each joint in which values lie within limits; None if there are none.
+
+    Revolute joints have one unit together, and prismatic ones.
+    """
+    slides = np.isin(np.arange(x.shape[1]), list(prismatic))
+    angle = _unit_within(x[:, ~slides], limits[~slides], _ANGLES)
+    length = _unit_within(x[:, slides], limits[slides], _LENGTHS)
+    if angle is None or length is None:
+        return None
+    return tuple(length if slide else angle for slide in slides)
+
+
+def _unit_within(
+    x: _Family, limits: Float[np.ndarray, "joints 2"], units: Sequence[tuple[str, float]]
+) -> str | None:
+    """Return the first unit in which values lie within limits; None if there is none."""
     low, high = limits.T
     # One more turn where the file states no limits, as of joints that turn on and on.
     high, low = (
         np.where(np.isfinite(x), x, 2.0 * np.pi * sign) for x, sign in ((high, 1), (low, -1))
     )
     margin = _BEYOND * np.maximum(high - low, 1.0)
-    for unit, factor in (("rad", 1.0), ("deg", np.pi / 180.0)):
+    for unit, factor in units:
         scaled = x * factor
         if np.all((scaled.min(axis=0) > low - margin) & (scaled.max(axis=0) < high + margin)):
             return unit

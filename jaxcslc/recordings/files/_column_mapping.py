@@ -35,14 +35,14 @@ class MappedQuantity:
     - `columns`: their names, one per joint; or one text in which `{joint}` stands for a joint's
       name, or its number where the file has no names, `{number}` for its number from 1 and
       `{index}` for that from 0; None: as the format has them.
-    - `unit`: None: as the format has it, or else SI.
+    - `units`: one for all joints, or one per joint; none: as the format has it, or else SI.
     - `factors`: sign times torque constant [N m/A] times gear ratio, one per joint or one for all.
     - `zeros`: values of positions, in the file's unit, that stand for 0; as `factors`.
     - `has_constant`: whether the factors contain a torque constant.
     """
 
     columns: str | tuple[str, ...] | None = None
-    unit: str | None = None
+    units: tuple[str, ...] = ()
     factors: tuple[float, ...] = (1.0,)
     zeros: tuple[float, ...] = (0.0,)
     has_constant: bool = False
@@ -60,11 +60,7 @@ class MappedQuantity:
             columns = _texts(columns, f"{where}, columns")
             if quantity == "time" and len(columns) != 1:
                 raise RecordingError(f"{where}, columns: expected one column, got {list(columns)}")
-        unit = _text(table.get("unit"), f"{where}, unit")
-        kinds = (quantity, "current") if quantity == "torque" else (quantity,)
-        if unit is not None and all(si_factor(unit, kind) is None for kind in kinds):
-            expected = "; ".join(listed_units(kind) for kind in kinds)
-            raise RecordingError(f"{where}, unit: expected {expected}, got {unit!r}")
+        units = _units(table.get("unit"), quantity, f"{where}, unit")
         factors = [1.0]
         for key in multipliers:
             if key not in table:
@@ -79,7 +75,7 @@ class MappedQuantity:
         zeros = [0.0]
         if "zero" in table:
             zeros = _numbers(table["zero"], f"{where}, zero", zero=True)
-        return cls(columns, unit, tuple(factors), tuple(zeros), "constant" in table)
+        return cls(columns, units, tuple(factors), tuple(zeros), "constant" in table)
 
     def named_columns(
         self,
@@ -112,28 +108,34 @@ class MappedQuantity:
     ) -> tuple[LayoutColumn, ...]:
         """Return the columns with SI units in one unit of each."""
         count = len(columns)
-        for numbers, keys in ((self.factors, "sign, constant or gear"), (self.zeros, "zero")):
-            if len(numbers) not in (1, count):
+        for values, keys in (
+            (self.factors, "numbers of sign, constant or gear"),
+            (self.zeros, "numbers of zero"),
+            (self.units, "units"),
+        ):
+            if len(values) not in (1, count) and values:
                 raise RecordingError(
-                    f"{where}: {len(numbers)} numbers of {keys}; expected {count}, one for each"
-                    " joint, or one"
+                    f"{where}: {len(values)} {keys}; expected {count}, one for each joint, or one"
                 )
-        unit = None
-        if self.unit is not None:
-            current = si_factor(self.unit, "current") if quantity == "torque" else None
+        units: list[float] = []
+        for unit in self.units:
+            current = si_factor(unit, "current") if quantity == "torque" else None
             if current is not None and not self.has_constant:
                 raise RecordingError(
-                    f"{where}: {self.unit} is a current; expected constant = ..., the torque"
+                    f"{where}: {unit} is a current; expected constant = ..., the torque"
                     " constant [N m/A] of each joint, and gear = ..., its gear ratio; constants"
                     " that are not known: jaxcslc torque-constants, from recordings with and"
                     " without a known payload"
                 )
-            unit = current or si_factor(self.unit, quantity) or 1.0
+            units.append(current or si_factor(unit, quantity) or 1.0)
+        units = units * count if len(units) == 1 else units
         factors = self.factors * count if len(self.factors) == 1 else self.factors
         zeros = self.zeros * count if len(self.zeros) == 1 else self.zeros
         return tuple(
-            LayoutColumn(column.name, (column.factor if unit is None else unit) * factor, zero)
-            for column, factor, zero in zip(columns, factors, zeros, strict=True)
+            LayoutColumn(column.name, unit * factor, zero)
+            for column, unit, factor, zero in zip(
+                columns, units or [x.factor for x in columns], factors, zeros, strict=True
+            )
         )
 
 
@@ -184,8 +186,8 @@ class ColumnMapping:
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     path = pathlib.Path(folder) / "mapping.toml"
         ...     _ = path.write_text('[time]' + chr(10) + 'columns = "t"' + chr(10) + 'unit = "ms"')
-        ...     ColumnMapping.load(path).quantities["time"].unit
-        'ms'
+        ...     ColumnMapping.load(path).quantities["time"].units
+        ('ms',)
         """
         document = toml_document(path, "file of column names", RecordingError)
         return cls.of(document, str(path))
@@ -338,9 +340,9 @@ class ColumnMapping:
     def _time(self, standard: LayoutColumn) -> LayoutColumn:
         mapped = self.quantities.get("time", MappedQuantity())
         name = mapped.columns[0] if isinstance(mapped.columns, tuple) else mapped.columns
-        if mapped.unit is None:
+        if not mapped.units:
             return standard if name is None else LayoutColumn(name)
-        return LayoutColumn(name or standard.name, si_factor(mapped.unit, "time") or 1.0)
+        return LayoutColumn(name or standard.name, si_factor(mapped.units[0], "time") or 1.0)
 
 
 def _filled(pattern: str, joint: str, number: int) -> str:
@@ -358,6 +360,21 @@ def _with_column(
         for number, (name, joint) in enumerate(zip(names, joints, strict=True), 1)
         if _filled(pattern, name, number) in columns
     )
+
+
+def _units(value: Any, quantity: str, where: str) -> tuple[str, ...]:
+    """Return a unit or several; none of None."""
+    if value is None:
+        return ()
+    kinds = (quantity, "current") if quantity == "torque" else (quantity,)
+    several = isinstance(value, list) and bool(value) and quantity != "time"
+    units: list[Any] = value if several else [value]
+    for unit in units:
+        text = _text(unit, where) or ""
+        if all(si_factor(text, kind) is None for kind in kinds):
+            expected = "; ".join(listed_units(kind) for kind in kinds)
+            raise RecordingError(f"{where}: expected {expected}, got {unit!r}")
+    return tuple(units)
 
 
 def _numbers(value: Any, where: str, *, zero: bool = False) -> list[float]:
