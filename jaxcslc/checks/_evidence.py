@@ -275,7 +275,7 @@ class Evidence:
         mask, torque = np.asarray(self.patterns.mask), np.asarray(self.patterns.torque)
         counts = np.maximum(mask.sum(axis=0), 1)
         size = np.sqrt(np.where(mask, torque**2, 0.0).sum(axis=0) / counts)
-        return np.asarray(self.fit.torque_error) / np.maximum(size, TINY)
+        return np.asarray(self.fit.torque_error) / np.where(size > 0.0, size, 1.0)
 
     @cached_property
     def noise(self) -> Float[np.ndarray, " joints"]:

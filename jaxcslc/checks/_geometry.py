@@ -17,7 +17,7 @@ from ..derivation import BODY, Chain, LinkFrame, NewtonEuler, link_frames
 from ..manipulator import Length, Manipulator
 from ..network import CSLC
 from ._causes import LEAST_GAIN, Cause, removes
-from ._evidence import LARGEST_ERROR, SMALLEST_ERROR, Evidence
+from ._evidence import LARGEST_ERROR, SMALLEST_ERROR, TINY, Evidence
 from ._findings import finding
 
 
@@ -55,6 +55,14 @@ class GeometryError(NamedTuple):
             "alpha": f"the angle between the axes of {before} and {own} is {shown} {more}",
         }
         return what[self.parameter]
+
+    def is_plausible(self, robot: Manipulator, size: float) -> bool:
+        """Return whether an error [m or rad] is less than the longest length of the robot.
+
+        Faults of other kinds pass for errors that are larger than the arm.
+        """
+        lengths = [x.value or 0.0 for joint in robot.joints for _, _, x in joint.lengths]
+        return self.is_angle or abs(size) <= max(abs(float(x)) for x in lengths)
 
     def robot(self, robot: Manipulator, size: float) -> Manipulator:
         """Return the robot with the error [m or rad] added to its file's value."""
@@ -182,8 +190,8 @@ def _errors_about(
     scale = np.sqrt(np.where(mask, torque**2, 0.0).sum(axis=0) / np.maximum(mask.sum(axis=0), 1))
     weight = np.where(mask & (scale > 0.0), 1.0 / np.where(scale > 0.0, scale, 1.0), 0.0)
     whole, torque = whole * weight[..., None], torque * weight
-    used = np.flatnonzero(np.any(whole != 0.0, axis=(0, 1)))
-    whole = whole[..., used] / np.sqrt(np.mean(whole[..., used] ** 2, axis=(0, 1)))
+    sizes = np.sqrt(np.mean(whole**2, axis=(0, 1)))
+    whole = whole[..., sizes > TINY] / sizes[sizes > TINY]
     folds = np.arange(len(torque)) * _FOLDS // len(torque)
     parts = [(whole[folds == fold], torque[folds == fold]) for fold in range(_FOLDS)]
     normal = np.stack([np.einsum("sjp,sjq->pq", x, x, optimize=True) for x, _ in parts])

@@ -126,6 +126,8 @@ def significant_cause(evidence: Evidence, *, lengths: bool = True) -> list[Findi
     found = [(*first.estimate(columns), kind, which) for kind, which, columns in options]
     found = [x for x in found if abs(x[0]) > max(least[x[2]], _CLEAR * x[1])]
     found = [x for x in found if x[2] != "zero" or abs(x[0]) < _FIRST_ORDER]
+    lengths_of, robot = geometry_errors(evidence.network), evidence.network.robot
+    found = [x for x in found if x[2] != "length" or lengths_of[x[3]].is_plausible(robot, x[0])]
     if not found:
         return []
     # Of causes that add the same torque, the one of recordings comes first.
@@ -465,6 +467,10 @@ def _length(trial: _Trial) -> Iterator[Cause]:
         first = FirstOrder.of(mended, only=("length", trial.which))
         if abs(step) < 0.2 * least:
             break
+    if not geometry_errors(trial.evidence.network)[trial.which].is_plausible(
+        trial.evidence.network.robot, size
+    ):
+        return
     yield from trial.cause(
         "length",
         "",
