@@ -24,6 +24,7 @@ from ._charts import (
     rounded as rounded,
 )
 from ._coefficients import (
+    WELL_DETERMINED as WELL_DETERMINED,
     Verdict as Verdict,
     coefficient_rows as coefficient_rows,
     coefficient_text as coefficient_text,

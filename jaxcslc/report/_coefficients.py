@@ -15,7 +15,7 @@ from ..bodies import DECIDED
 from ..derivation import Coefficient
 from ..least_squares import Identification
 from ..network import CSLC, AbstractLinearNetwork
-from ..uncertainty import SystematicError, uncertainty_interval
+from ..uncertainty import SHOWN_SCALE, TORQUE_SCALE, SystematicError, uncertainty_interval
 from ._excitation import Excitation
 from ._page import Column, Table, Value
 
@@ -205,6 +205,7 @@ def legend_text(legend: str) -> str:
 
 VerdictKind = Literal[
     "well determined",
+    "well determined up to scale",
     "poorly determined",
     "systematic error",
     "from the file",
@@ -212,6 +213,9 @@ VerdictKind = Literal[
     "wrong sign",
     "not determined",
 ]
+
+WELL_DETERMINED: tuple[VerdictKind, ...] = ("well determined", "well determined up to scale")
+"""Verdicts on coefficients that can be used."""
 
 # A standard error of a tenth of the value, the field's rule of thumb (Khalil and Dombre 2002,
 # 12.5).
@@ -235,6 +239,8 @@ class Verdict:
     - `kind`:
         - `"well determined"`: standard and systematic error together are at most a tenth of the
           value, the systematic error alone at most a twentieth;
+        - `"well determined up to scale"`: the same, but it is proportional to the torque, and
+          neither data nor the robot's file confirm the torque's scale to a tenth;
         - `"poorly determined"`: the standard error is more than a tenth, or the condition number
           of the fit makes every value meaningless;
         - `"systematic error"`: the standard error is small enough, the systematic error is not:
@@ -299,6 +305,9 @@ def verdicts(
         )
     interval = uncertainty_interval(fit, systematic, level)
     shift = np.zeros(network.size) if systematic is None else systematic.total
+    unscaled = np.zeros(network.size, bool)
+    if systematic is not None and SHOWN_SCALE in systematic.within:
+        unscaled = systematic.parts[TORQUE_SCALE] > 0.0
     inflation = None if excitation is None else np.asarray(excitation.variance_inflation)
     determined, combinations = np.asarray(fit.determined), _determined_combinations(fit)
     meaningless = not bool(fit.meaningful)
@@ -313,6 +322,8 @@ def verdicts(
             times = f"{np.sqrt(inflation[i]):.2g} times"
             reason += f" (increased {times} by correlation with other coefficients)"
         kind: VerdictKind = "well determined" if relative <= _WELL else "poorly determined"
+        if relative <= _WELL and unscaled[i]:
+            kind = "well determined up to scale"
         small = np.hypot(error, shift[i]) <= _WELL * abs(value)
         if relative <= _WELL and not (small and shift[i] <= _WELL_SYSTEMATIC * abs(value)):
             kind = "systematic error"
@@ -416,7 +427,6 @@ class CoefficientRow(dict[str, str | float | bool]):
 
 # What a line has room for: alone, and beside a value with its errors, interval and verdict.
 _LONGEST_EXPRESSION, _LONGEST_BESIDE_VALUE = 60, 30
-_GOOD = "well determined"
 _HEADERS = {
     "standard_error": "std error",
     "systematic_error": "systematic",
@@ -538,7 +548,7 @@ def coefficient_text(rows: list[dict[str, str | float | bool]]) -> str:
     ]
     header = [_HEADERS.get(name, name) for name in shown]
     table = text_table(header, cells, left=("unit", "verdict", "expression"))
-    doubtful = [row for row in rows if row.get("verdict", _GOOD) != _GOOD]
+    doubtful = [row for row in rows if row.get("verdict", "") not in ("", *WELL_DETERMINED)]
     reasons = [f"  {row['name']}: {row['reason']}" for row in doubtful]
     return "\n".join([table, *(["", "not well determined:", *reasons] if reasons else [])])
 

@@ -421,7 +421,7 @@ class Report(AbstractReport[CSLC]):
     >>> report.to_pandas().index.tolist()
     ['kB1', 'kB2', 'kB3', 'kv1', 'kd1']
     >>> report["kv1"]
-    kv1 = 0.2 N m s/rad, 95 % interval 0.2 to 0.2, well determined
+    kv1 = 0.2 N m s/rad, 95 % interval 0.2 to 0.2, well determined up to scale
     >>> round(report["kv1"].value, 3), report["kv1"].unit, tuple(report.errors)
     (0.2, 'N m s/rad', ('training',))
     >>> report.sample(64).shape

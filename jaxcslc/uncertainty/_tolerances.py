@@ -47,9 +47,9 @@ TOLERANCES: Mapping[str, Tolerance] = {
 # One recording in twenty has a fault beyond its tolerance, of twenty times its size. (Heuristic:
 # data decide unless they say little; a smaller number would take a clear fault for chance.)
 _GROSS, _GROSS_SIZE = 0.05, 20.0
-# A factor of the torques, less 1, that must be excluded for nothing to be stated: `jaxcslc check`
-# names none that is smaller.
-_LARGE_SCALE = 0.25
+# A factor of the torques, less 1, that must be excluded by 95 % for the scale to be confirmed: a
+# standard uncertainty of 5 %, the most that a well determined coefficient may have of such errors.
+_CONFIRMED_SCALE = 0.1
 _LEVEL = 0.95
 _QUANTILE = 1.959963984540054  # of a normal distribution, of both sides together
 # As many rows of a recording show its faults, in as many stretches, whose differences are noise.
@@ -126,7 +126,7 @@ class PossibleFaults:
 
     - `parts`: by cause, the standard uncertainty of each coefficient, (p,).
     - `within`: by cause, the size of the fault by 95 %, as text. `SHOWN_SCALE` is there if only
-      the tolerance excludes a torque scale of 1.25: what else shows of it by 95 %, or `"nothing"`.
+      the tolerance excludes a torque scale of 1.1: what else shows of it by 95 %, or `"nothing"`.
     """
 
     parts: Mapping[str, Float[np.ndarray, " coefficients"]]
@@ -206,7 +206,7 @@ def possible_faults(
     shown = abs(estimates[0].value) + _QUANTILE * estimates[0].error
     if not np.isfinite(shown):
         within[SHOWN_SCALE] = "nothing"
-    elif shown > _LARGE_SCALE:
+    elif shown > _CONFIRMED_SCALE:
         within[SHOWN_SCALE] = f"± {100 * shown:.2g} %"
     return PossibleFaults(parts, within)
 

@@ -10,7 +10,11 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.report import coefficient_rows, coefficient_text, degree_of_excitation, verdicts
+from jaxcslc.uncertainty import SHOWN_SCALE, TORQUE_SCALE, SystematicError
 from tests import arms
+
+
+ORDINARY = jc.LeastSquares(joint_weights="equal", errors="independent")
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +33,7 @@ def patterns_of(
 
 
 def words(network: jc.CSLC, patterns: jc.Patterns) -> list[str]:
-    fit = jc.LeastSquares(joint_weights="equal", errors="independent").fit(network, patterns)
+    fit = ORDINARY.fit(network, patterns)
     excitation = degree_of_excitation(network, patterns)
     return [verdict.kind for verdict in verdicts(network, fit, excitation)]
 
@@ -47,6 +51,21 @@ def test_each_word(arm: jc.CSLC, rng: np.random.Generator) -> None:
     assert words(arm, still) == ["well determined", "not determined", "not determined"]
 
 
+def test_a_torque_scale_that_nothing_confirms_qualifies_what_follows_it(
+    arm: jc.CSLC, rng: np.random.Generator
+) -> None:
+    qd, qdd = rng.normal(size=(2, 400))
+    fit = ORDINARY.fit(arm, patterns_of(arm, [5.0, 4.0, 3.0], qd, qdd, 0.1))
+    follows = np.abs(np.asarray(fit.k)) * [0.02, 0.1, 0.0]
+    for shown, first in (({}, ""), ({SHOWN_SCALE: "± 30 %"}, " up to scale")):
+        judged = verdicts(arm, fit, systematic=SystematicError({TORQUE_SCALE: follows}, shown))
+        assert [verdict.kind for verdict in judged] == [
+            f"well determined{first}",
+            "systematic error",
+            "well determined",
+        ]
+
+
 def test_reasons_name_what_stands_in(arm: jc.CSLC, rng: np.random.Generator) -> None:
     """Velocities of nearly one modulus: dry and viscous friction look alike."""
     qd = np.sign(rng.normal(size=400)) * (2.0 + 0.05 * rng.normal(size=400))
@@ -54,7 +73,7 @@ def test_reasons_name_what_stands_in(arm: jc.CSLC, rng: np.random.Generator) -> 
         arm, [5.0, 1.0, 1.0], qd, rng.normal(size=400), rng.normal(size=(400, 1))
     )
     fit, excitation = (
-        jc.LeastSquares(joint_weights="equal", errors="independent").fit(arm, patterns),
+        ORDINARY.fit(arm, patterns),
         degree_of_excitation(arm, patterns),
     )
     judged = verdicts(arm, fit, excitation)
@@ -99,7 +118,7 @@ def test_inflation_of_what_is_untold(arm: jc.CSLC, rng: np.random.Generator) -> 
 def test_columns_of_the_table(arm: jc.CSLC, rng: np.random.Generator) -> None:
     qd, qdd = rng.normal(size=(2, 400))
     patterns = patterns_of(arm, [5.0, 0.4, 0.0], qd, qdd, rng.normal(size=(400, 1)))
-    fit = jc.LeastSquares(joint_weights="equal", errors="independent").fit(arm, patterns)
+    fit = ORDINARY.fit(arm, patterns)
     rows = coefficient_rows(arm, fit, excitation=degree_of_excitation(arm, patterns), level=0.9)
     ends = [[float(row["low"]), float(row["high"])] for row in rows]
     assert_allclose(ends, fit.confidence_interval(0.9))
@@ -117,9 +136,7 @@ def test_a_fit_of_another_network(
 ) -> None:
     del puma_k
     qd, qdd = rng.normal(size=(2, 400))
-    fit = jc.LeastSquares(joint_weights="equal", errors="independent").fit(
-        arm, patterns_of(arm, [1.0, 1.0, 1.0], qd, qdd, 0.0)
-    )
+    fit = ORDINARY.fit(arm, patterns_of(arm, [1.0, 1.0, 1.0], qd, qdd, 0.0))
     with pytest.raises(ValueError, match="the fit has 3 coefficients from 'kB1', the network has"):
         verdicts(puma, fit)
 

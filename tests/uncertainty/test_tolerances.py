@@ -149,7 +149,9 @@ def test_a_scale_that_only_the_tolerance_bounds_is_stated(
     assert shown(None) == "nothing"
     # 0.05 + 1.96 · 0.15
     assert shown(Estimate(0.05, 0.15)) == "± 34 %"
-    assert shown(Estimate(0.05, 0.1)) is None
+    # 0.01 + 1.96 · 0.05, of what may be off by 5 % in standard errors.
+    assert shown(Estimate(0.01, 0.05)) == "± 11 %"
+    assert shown(Estimate(0.01, 0.04)) is None
 
 
 def test_what_is_known_is_not_moved(arm: tuple[jc.CSLC, np.ndarray, jc.Patterns]) -> None:
@@ -169,6 +171,7 @@ def test_a_report_says_how_far_and_keeps_the_standard_error(
     report = jc.identify(network, recording, settings=jc.Settings(), possible="never", checks=False)
     assert set(report.systematic.within) == {TORQUE_SCALE, CLOCK, ZEROS, SHOWN_SCALE}
     assert "nothing would show a larger error." in report.verdict
+    assert "coefficients well determined up to scale" in report.verdict
     row = report["kv1"]
     assert row["standard_error"] == float(report.fit.standard_error[network.names.index("kv1")])
     part = report.systematic.parts[TORQUE_SCALE][network.names.index("kv1")]

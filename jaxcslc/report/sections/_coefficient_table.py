@@ -13,7 +13,7 @@ from jaxcslc.least_squares import Identification
 from jaxcslc.uncertainty import SHOWN_SCALE, TORQUE_SCALE, SystematicError
 
 from .._charts import MatrixChart
-from .._coefficients import coefficient_text, legend_text, readable
+from .._coefficients import WELL_DETERMINED, coefficient_text, legend_text, readable
 from .._excitation import Excitation
 from .._page import (
     AbstractBlock,
@@ -41,6 +41,7 @@ _MOST_LABELS = 120
 
 _VERDICT_TONES: dict[str, Tone] = {
     "well determined": "good",
+    "well determined up to scale": "good",
     "systematic error": "caution",
     "poorly determined": "caution",
     "from the file": "plain",
@@ -84,17 +85,18 @@ class CoefficientSection(AbstractSection):
     def messages(self, report: AnyReport) -> Iterator[Message]:
         rows = report.rows()
         kinds = Counter(row["verdict"] for row in rows)
-        well = kinds.pop("well determined", 0)
+        plain, scaled = (kinds.pop(kind, 0) for kind in WELL_DETERMINED)
         doubtful = sum(kinds.values()) - kinds["indistinguishable from zero"]
         others = ", ".join(
             f"{kinds[kind]} {_COUNTED.get(kind, kind)}" for kind in _VERDICT_TONES if kinds[kind]
         )
         yield Message(
-            f"{well} of {counted(len(rows), 'coefficient')} well determined"
+            f"{plain or scaled} of {counted(len(rows), 'coefficient')} well determined"
+            + ("" if not scaled else f", {scaled} up to scale" if plain else " up to scale")
             + (f"; {others}." if others else ".")
             + _scale_statement(getattr(report, "systematic", None)),
             # What is zero on the arm cannot be known to a tenth of itself.
-            "caution" if kinds["not determined"] or well <= doubtful else "good",
+            "caution" if kinds["not determined"] or plain + scaled <= doubtful else "good",
         )
         signed = sum(bool(row["positive"]) for row in rows)
         if wrong := kinds["wrong sign"]:
@@ -119,7 +121,9 @@ class CoefficientSection(AbstractSection):
             " more data. Smoothing, torque timing, missing terms, and errors of torque scale, clock"
             " and zero positions within tolerances cause the systematic error. More data of this"
             " motion do not reduce it. A coefficient is well determined if its standard error is at"
-            " most 10 % of the value, and its systematic error at most 5 %. If only the systematic"
+            " most 10 % of the value, and its systematic error at most 5 %. Up to scale: a common"
+            " factor of all torques changes all of them alike, and neither the data nor the robot's"
+            " file confirm it to 10 %. If only the systematic"
             " error is larger, the verdict is 'systematic error', and the reason names the main"
             " cause. A poorly determined coefficient has little effect on the torque of this"
             " motion.",
@@ -281,7 +285,7 @@ class ExcitationSection(AbstractSection):
 
 def _shown(row: Mapping[str, Any]) -> dict[str, str]:
     """Return entries of a row as the page shows them: reasons of doubt, rounded expressions."""
-    reason = "" if row["verdict"] == "well determined" else row["reason"]
+    reason = "" if row["verdict"] in WELL_DETERMINED else row["reason"]
     return {"reason": reason, "expression": readable(row["expression"])}
 
 

@@ -4,7 +4,8 @@ Each kind comes in three sizes, from mild to gross, on six arms whose files are 
 manufacturers or of example-robot-data, and whose torques Pinocchio computes. A recording is *named*
 (its cause is the first finding), *named wrongly*, *silent and wrong* (nothing is said, and more
 coefficients called well determined are outside of their 95 % intervals than chance explains) or
-*silent and harmless*. Clean recordings give the false alarms.
+*silent and harmless*. What is *well determined up to scale* may be off by one factor, within what
+the report states. Clean recordings give the false alarms.
 """
 
 import argparse
@@ -19,8 +20,8 @@ import scipy
 
 import jaxcslc as jc
 from jaxcslc.checks import Finding
-from jaxcslc.report import all_or_nothing, write_csv
-from jaxcslc.uncertainty import SHOWN_SCALE
+from jaxcslc.report import WELL_DETERMINED, all_or_nothing, write_csv
+from jaxcslc.uncertainty import SHOWN_SCALE, uncertainty_interval
 from scripts.studies import command
 from scripts.studies.checks.robots import ARMS, Conditions, arm, record
 from scripts.studies.checks.spoilers import SIZES, SPOILERS, Spoilt, spoilt
@@ -114,7 +115,7 @@ def judged(job: Job) -> dict[str, Any]:
     # What is worth knowing of a fit is whether it is wrong and nothing was said.
     truth = arm(name, seed).coefficients(friction)
     report = _identified(network, case)
-    well, outside, apart = _confident(network, report, truth) if first is None else (0, 0, 0)
+    well, outside, printed = _confident(network, report, truth) if first is None else (0, 0, 0)
     right = first is not None and _is_right(first, case, network)
     wrong = outside > scipy.stats.binom.ppf(1.0 - _CHANCE, well, 1.0 - _LEVEL)
     silent = "silent and wrong" if wrong else "silent and harmless"
@@ -125,7 +126,7 @@ def judged(job: Job) -> dict[str, Any]:
         "why": "" if report is None else report.verdict,
         "well_determined": well,
         "outside": outside,
-        "outside_apart": apart,
+        "outside_as_printed": printed,
         "first": "" if first is None else first.kind,
         "joint": "" if first is None else first.joint,
         "text": " | ".join(map(str, findings)),
@@ -148,27 +149,30 @@ def _identified(network: jc.CSLC, case: Spoilt) -> jc.Report | None:
 def _confident(
     network: jc.CSLC, report: jc.Report | None, truth: np.ndarray
 ) -> tuple[int, int, int]:
-    """Return how many coefficients are well determined, and how many of them are wrong.
+    """Return how many coefficients are well determined, how many of them are wrong, and printed so.
 
-    The latter twice: as they are, and apart from a factor of all torques that the report says to be
-    possible.
+    - Wrong: outside of the interval by what the verdict says. *Up to scale* allows for one factor
+      of all coefficients, within what the report says to be possible.
+    - Printed so: outside of the interval, whatever the verdict.
     """
     if report is None or report.network.size != len(truth):
         return 0, 0, 0
-    rows = report.rows(_LEVEL)
-    well = np.array([row["verdict"] == "well determined" for row in rows])
-    low, high = (np.array([row[end] for row in rows], float)[well] for end in ("low", "high"))
-    truth = truth[well]
-
-    def outside(factor: float) -> int:
-        return int(np.sum((factor * truth < low) | (factor * truth > high)))
-
-    shown = "" if report.systematic is None else report.systematic.within.get(SHOWN_SCALE, "")
-    factor = 1.0
-    if shown and well.any():
+    kinds = np.array([row["verdict"] for row in report.rows()])
+    well, plain = np.isin(kinds, WELL_DETERMINED), kinds == WELL_DETERMINED[0]
+    interval = uncertainty_interval(report.fit, report.systematic, _LEVEL)
+    printed = _outside(interval, truth)
+    wrong = printed
+    if well.any() and not np.all(plain[well]):
+        shown = report.systematic.within[SHOWN_SCALE]
         bound = np.inf if shown == "nothing" else float(shown.strip("± %")) / 100.0
-        factor = float(np.clip(np.median(0.5 * (low + high) / truth), 1.0 - bound, 1.0 + bound))
-    return int(well.sum()), outside(1.0), outside(factor)
+        ratios = np.asarray(report.fit.k)[well] / truth[well]
+        factor = float(np.clip(np.median(ratios), max(1.0 - bound, 0.0), 1.0 + bound))
+        wrong = np.where(plain, printed, _outside(interval, factor * truth))
+    return int(well.sum()), int(np.sum(wrong & well)), int(np.sum(printed & well))
+
+
+def _outside(interval: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    return (truth < interval[:, 0]) | (truth > interval[:, 1])
 
 
 def clean_conditions(seed: int) -> Conditions:
@@ -242,14 +246,14 @@ def _count(rows: list[dict[str, Any]], result: str, size: int | None = None) -> 
 
 
 def _confident_text(rows: list[dict[str, Any]]) -> str:
-    """Coefficients outside of their intervals, of those called well determined without a word.
+    """Coefficients that are wrong by their verdict, of those called well determined without a word.
 
-    In brackets: apart from a factor of all torques that the report says to be possible.
+    In brackets: outside of the interval, which allows for usual errors of the torque scale only.
     """
     silent = [row for row in rows if not row["first"]]
-    keys = ("outside", "outside_apart", "well_determined")
-    outside, apart, well = (sum(row[key] for row in silent) for key in keys)
-    return f"{outside} ({apart}) of {well}"
+    keys = ("outside", "outside_as_printed", "well_determined")
+    outside, printed, well = (sum(row[key] for row in silent) for key in keys)
+    return f"{outside} ({printed}) of {well}"
 
 
 if __name__ == "__main__":

@@ -107,6 +107,12 @@ def _all_scaled(case: Case) -> Spoilt:
     return Spoilt((_torque(case, lambda x: factor * x, _EVERY),), _GAIN)
 
 
+def _torque_constant(case: Case) -> Spoilt:
+    """A factor that neither data nor the file's masses can show."""
+    factor = case.of_size(1.05, 1.1, 1.2)
+    return Spoilt((_torque(case, lambda x: factor * x, _EVERY),), _GAIN)
+
+
 def _one_scaled(case: Case) -> Spoilt:
     joint, factor = case.joint(), case.of_size(1.1, 1.3, 1.6)
     return Spoilt((_torque(case, lambda x: factor * x, joint),), _GAIN, (joint,))
@@ -365,7 +371,8 @@ def _upside_down(case: Case) -> Spoilt:
 
 
 def _other_file(case: Case) -> Spoilt:
-    return Spoilt((case.recording,), ("wrong robot",), file=FILES[case.arm.name].other)
+    # A length of the other file is wrong as well.
+    return Spoilt((case.recording,), ("wrong robot", "length"), file=FILES[case.arm.name].other)
 
 
 def _friction_drift(case: Case) -> Spoilt:
@@ -429,6 +436,7 @@ SPOILERS: dict[str, Callable[[Case], Spoilt]] = {
     "friction drifts": _friction_drift,
     "tool added": _tool,
     "contact": _contact,
+    "torque constant": _torque_constant,
 }
 """Kinds of spoilt recordings by name."""
 

@@ -20,7 +20,7 @@ import numpy as np
 
 import jaxcslc as jc
 import sim
-from jaxcslc.report import all_or_nothing, coefficient_rows, write_csv
+from jaxcslc.report import WELL_DETERMINED, all_or_nothing, coefficient_rows, write_csv
 from jaxcslc.uncertainty import systematic_error, uncertainty_interval
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
@@ -92,7 +92,7 @@ def confident_errors(rows: Sequence[dict[str, Any]], verdicts: str) -> int:
     - `verdicts`: the field of the rows that holds them.
     """
     return sum(
-        verdict == "well determined" and error > CONFIDENT
+        verdict in WELL_DETERMINED and error > CONFIDENT
         for row in rows
         for verdict, error in zip(row[verdicts], row["relative error"], strict=True)
     )

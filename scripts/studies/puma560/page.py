@@ -90,6 +90,7 @@ _COEFFICIENTS = ("name", "value", "low", "high", "true", "trained", "Ar+LS", "th
 _SHORT = 20  # rows of a table; longer ones open on a click
 _VERDICTS: dict[str, Tone] = {
     "well determined": "good",
+    "well determined up to scale": "good",
     "poorly determined": "caution",
     "systematic error": "caution",
     "wrong sign": "bad",
