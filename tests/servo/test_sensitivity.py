@@ -9,7 +9,7 @@ import pytest
 
 from jaxcslc.manipulator import LinkParameters
 from jaxcslc.servo import ServoDrive, ServoRecording, simulate
-from jaxcslc.servo._fit import _known_rows, _scaled, _Search
+from jaxcslc.servo._fit import _Search, known_rows, scaled
 from jaxcslc.servo._identifiability import ConfoundedParameters
 from jaxcslc.servo._intervals import Stack
 from jaxcslc.servo._search import UNKNOWNS, JointProblem
@@ -31,7 +31,7 @@ def test_derivatives_are_those_of_the_whole_arm(tmp_path: Path) -> None:
     drives = [dataclasses.replace(DRIVE, offset=x) for x in (0.05, -0.1, 0.1)]
     position = simulate(robot, drives, TIME, command, command[0])
     recording = ServoRecording(TIME, position, command)
-    search = _Search(robot, [recording], [payload], _known_rows(robot, [recording], {}), NAMES)
+    search = _Search(robot, [recording], [payload], known_rows(robot, [recording], {}), NAMES)
     search.alone(0.2)
     simulated = search._simulated(search.unknowns, search.masses)
     search._take_motions(simulated)
@@ -99,8 +99,8 @@ def test_zero_positions_and_masses_are_found_together(tmp_path: Path) -> None:
         )
         for body in (None, payload)
     ]
-    heavy = _scaled(robot, 1.2)
-    base = _known_rows(heavy, recordings, {})
+    heavy = scaled(robot, 1.2)
+    base = known_rows(heavy, recordings, {})
     search = _Search(heavy, recordings, [None, payload], base, NAMES)
     search.alone(0.2)
     np.testing.assert_allclose(search.offsets, offsets, atol=0.04)  # 0.15 without
