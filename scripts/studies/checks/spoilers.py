@@ -1,4 +1,4 @@
-"""Forty kinds of wrong recordings and wrong robot files, each in three sizes from mild to gross.
+"""Kinds of wrong recordings and wrong robot files, 44 of them, each in three sizes, mild to gross.
 
 Each kind is a function of `SPOILERS`. It makes a `Spoilt`: recordings, and the kinds of findings
 that name what is wrong. Faults of the arm itself are simulated (`robots.Fault`), others change the

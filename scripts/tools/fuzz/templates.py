@@ -123,7 +123,7 @@ unit = "ms"
 
 [position]
 columns = ["position_1", "position_2"]
-unit = "deg"
+unit = ["deg", "rad"]
 sign = [1, -1]
 
 [torque]
