@@ -66,8 +66,8 @@ _IN_CODE = re.compile(
 )
 # What a page of figures has, and a guide has not.
 _EVIDENCE_SIGN = re.compile(r"\b20\d\d-[01]\d-[0-3]\d\b|scripts[./]studies\b")
-# Pages on the simulator and on training may name the studies that they belong to.
-_WITH_STUDIES = frozenset({"CONTRIBUTING.md", "simulator.md"})
+# The page for developers may name studies.
+_WITH_STUDIES = frozenset({"CONTRIBUTING.md"})
 _SYMBOLS = {"ε": r"ε\b.{0,80}(?:is|:|=|mean|error)", "γ": r"γ.{0,60}(?:is|:|=|1 / slope)"}
 
 

@@ -244,6 +244,17 @@ CHARTS: Mapping[str, Chart] = {
         },
         {"PUMA A": "a", "PUMA B": "b"},
     ),
+    "simulator": Chart(
+        "Torque error of 1,024 simulated PUMA 560s [N m]",
+        "simulator_evidence.md # A thousand machines |  | {group} | {series}",
+        {
+            "published coefficients (Ar+LS)": "Ar+LS",
+            "trained network": "trained",
+            "direct solution": "solved",
+            "true coefficients": "true coefficients",
+        },
+        {"median": "median", "90 % of machines": "90 %"},
+    ),
 }
 
 
