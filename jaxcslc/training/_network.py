@@ -20,6 +20,11 @@ from jaxtyping import Array, Float
 from ._functions import LINEAR_COMBINER, Activation
 
 
+# Indices of links are checked when they are made: JAX's arithmetic for negative ones, at each use
+# in a training, took part of its time to compile.
+_CHECKED: Any = {"wrap_negative_indices": False}
+
+
 class Links:
     """Links from inputs to nodes, each with a weight and a known multiple.
 
@@ -107,21 +112,23 @@ class Links:
 
         With `magnitude`, of the links' moduli: two links between one pair do not cancel.
         """
-        values = weights[self.weight] * self.multiple.astype(weights.dtype)
+        values = weights.at[self.weight].get(**_CHECKED) * self.multiple.astype(weights.dtype)
         if magnitude:
             values = jnp.abs(values)
         if self._ordered:
             return values.reshape(self.nodes, self.inputs)
         empty = jnp.zeros((self.nodes, self.inputs), weights.dtype)
-        return empty.at[self.node, self.source].add(values)
+        return empty.at[self.node, self.source].add(values, **_CHECKED)
 
     def to_weights(self, per_link: Float[Array, " links"], size: int) -> Float[Array, " weights"]:
         """Return the sum over links of each weight, (size,)."""
-        return jnp.zeros(size, per_link.dtype).at[self.weight].add(per_link)
+        return jnp.zeros(size, per_link.dtype).at[self.weight].add(per_link, **_CHECKED)
 
     def at_links(self, matrix: Float[Array, "nodes inputs"]) -> Float[Array, " links"]:
         """Return the entry of a matrix of nodes by inputs for every link."""
-        return matrix.reshape(-1) if self._ordered else matrix[self.node, self.source]
+        if self._ordered:
+            return matrix.reshape(-1)
+        return matrix.at[self.node, self.source].get(**_CHECKED)
 
     @property
     def _ordered(self) -> bool:
