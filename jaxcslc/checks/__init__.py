@@ -6,10 +6,10 @@
 - `_findings`: the table of causes and remedies.
 - `_sample_findings`: clock, stale rows, outliers, clipping.
 - `_channel_findings`: angles that wrap, jumps, stops, unsigned and saturated torques.
-- `_evidence`: the low-passed part of a recording that hypotheses are scored on.
+- `_evidence`: the low-passed part of a recording that hypotheses are scored on; causes, and
+  recordings without them.
 - `_first_order`, `_model_findings`: scales, zero positions, mounting, clock, and what changes
   during a recording, by the columns that a small fault adds.
-- `_causes`: causes, and recordings without them.
 - `_motion_findings`, `_torque_lag`: faults in columns, the lag of torques, and recordings that
   differ from the first.
 """

@@ -141,12 +141,12 @@ class _OwnEquations:
     """Equations of motion of one joint alone: other joints may have faults of their own.
 
     - `rows`: of the patterns, where the joint is measured.
-    - `columns`: of the regressor and a constant, (rows, columns).
+    - `columns`: of the regressor and a constant, of all patterns.
     - `torque`: of the rows [N m or N].
     """
 
     rows: Bool[np.ndarray, " patterns"]
-    columns: Float[np.ndarray, "rows columns"]
+    columns: Float[np.ndarray, "patterns columns"]
     torque: Float[np.ndarray, " rows"]
 
     @classmethod
@@ -154,15 +154,16 @@ class _OwnEquations:
         """Return the equations of a joint, from 0."""
         patterns = evidence.patterns
         own = evidence.columns(patterns)[joint].T
+        columns = np.column_stack([own, np.ones(len(own))])
         torque, rows = (np.asarray(x)[:, joint] for x in (patterns.torque, patterns.mask))
-        own = np.column_stack([own, np.ones(len(own))])[rows]
-        return cls(rows, own, torque[rows])
+        return cls(rows, columns, torque[rows])
 
     @cached_property
     def _range(self) -> Float[np.ndarray, "rows rank"]:
         """Orthonormal columns of the same span."""
-        scales = np.maximum(np.sqrt(np.sum(self.columns**2, axis=0)), TINY)
-        left, values, _ = np.linalg.svd(self.columns / scales, full_matrices=False)
+        columns = self.columns[self.rows]
+        scales = np.maximum(np.sqrt(np.sum(columns**2, axis=0)), TINY)
+        left, values, _ = np.linalg.svd(columns / scales, full_matrices=False)
         return left[:, values > _RANK * values[0]] if values.size else left
 
     def fitted(self, torque: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
@@ -202,10 +203,7 @@ class Saturated:
         equations = _OwnEquations.of(evidence, self.joint)
         if not inside.any() or not equations.rows.any():
             return False
-        patterns = evidence.patterns
-        column = np.asarray(patterns.torque)[:, self.joint]
-        own = evidence.columns(patterns)[self.joint].T
-        own = np.column_stack([own, np.ones(len(own))])
+        column, own = np.asarray(evidence.patterns.torque)[:, self.joint], equations.columns
         fitted = np.linalg.lstsq(own[equations.rows], equations.torque, rcond=_RANK)[0]
         # The median: friction at a standstill that no model has is in few samples.
         more = float(np.median(self.sign * (own @ fitted - column)[inside]))

@@ -1,15 +1,19 @@
-"""Low-passed part of a recording on which hypotheses about its columns are scored."""
+"""Low-passed part of a recording on which hypotheses about its columns are scored; and causes.
+
+A cause is a finding with its gain, and a `Change` makes recordings without it.
+"""
 
 import contextlib
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from operator import itemgetter
+from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ..least_squares import (
     Equations,
@@ -34,6 +38,7 @@ from ..recordings import (
     resample,
     uniform_interval,
 )
+from ._findings import Finding
 
 
 # A joint follows the file's torque well from this part of the variance on.
@@ -86,17 +91,31 @@ def prior_fit(network: CSLC, patterns: Patterns, columns: HostColumns) -> PriorF
     terms = np.stack([expected, qd, np.sign(qd), np.ones_like(qd)], axis=0)
     with_file, factor = _errors(patterns, terms, mask)
     without_file, _ = _errors(patterns, terms[1:], mask)
-    counts = np.maximum(mask.sum(axis=0), 1)
-    sizes = [
-        np.sqrt(np.where(mask, values**2, 0.0).sum(axis=0) / counts)
-        for values in (expected, np.asarray(patterns.torque))
-    ]
+    sizes = [counted_rms(values, mask) for values in (expected, np.asarray(patterns.torque))]
     # Of a torque that was not recorded nothing is left to explain, and nothing is explained.
     recorded = without_file > 0.0
     explained = (
         1.0 - (np.where(recorded, with_file, 1.0) / np.where(recorded, without_file, 1.0)) ** 2
     )
     return PriorFit(factor, explained, sizes[0] / np.maximum(sizes[1], TINY))
+
+
+def counted_rms(
+    values: Float[np.ndarray, "samples joints"], mask: Bool[np.ndarray, "samples joints"]
+) -> Float[np.ndarray, " joints"]:
+    """Return the root mean square of each joint's values that count; 0 where none does."""
+    return np.sqrt(np.where(mask, values**2, 0.0).sum(axis=0) / np.maximum(mask.sum(axis=0), 1))
+
+
+def error_part(
+    error: Float[np.ndarray, "samples joints"], patterns: Patterns
+) -> Float[np.ndarray, " joints"]:
+    """Return the size of each joint's torque error that counts, as a part of the torque's."""
+    mask = np.asarray(patterns.mask)
+    squares, size = (
+        np.where(mask, x**2, 0.0).sum(axis=0) for x in (error, np.asarray(patterns.torque))
+    )
+    return np.sqrt(squares / np.where(size > 0, size, 1.0))
 
 
 def _errors(
@@ -231,6 +250,11 @@ class Evidence:
         )
 
     @cached_property
+    def interval(self) -> float:
+        """Between samples of the recording [s]."""
+        return float(np.median(np.diff(self.recording.time)))
+
+    @cached_property
     def fit(self) -> Identification:
         """The fit to all patterns."""
         equations = equations_of(self.network, self.patterns, None, self._columns)
@@ -272,16 +296,13 @@ class Evidence:
     @cached_property
     def training_errors(self) -> Float[np.ndarray, " joints"]:
         """Error of each joint that `fit` leaves, as part of its torque's root mean square."""
-        mask, torque = np.asarray(self.patterns.mask), np.asarray(self.patterns.torque)
-        counts = np.maximum(mask.sum(axis=0), 1)
-        size = np.sqrt(np.where(mask, torque**2, 0.0).sum(axis=0) / counts)
+        size = counted_rms(np.asarray(self.patterns.torque), np.asarray(self.patterns.mask))
         return np.asarray(self.fit.torque_error) / np.where(size > 0.0, size, 1.0)
 
     @cached_property
     def noise(self) -> Float[np.ndarray, " joints"]:
         """White noise of the torques, low-passed, as part of each torque's root mean square."""
-        interval = float(np.median(np.diff(self.recording.time)))
-        passed = np.sqrt(min(2.0 * self.cutoff * interval, 1.0))
+        passed = np.sqrt(min(2.0 * self.cutoff * self.interval, 1.0))
         size = np.sqrt(np.mean(np.asarray(self.patterns.torque) ** 2, axis=0))
         return noise_level(self.recording.torque) * passed / np.maximum(size, TINY)
 
@@ -294,12 +315,9 @@ class Evidence:
 
         - `columns`: of the patterns' motion, if they are known already.
         """
-        mask = np.asarray(patterns.mask)
         fold = np.arange(patterns.samples) * _FOLDS // patterns.samples
         error = _SOLVER.held_out_errors(self.network, patterns, fold, columns)
-        squares = np.where(mask, error**2, 0.0).sum(axis=0)
-        size = np.where(mask, np.asarray(patterns.torque) ** 2, 0.0).sum(axis=0)
-        return np.sqrt(squares / np.where(size > 0, size, 1.0))
+        return error_part(error, patterns)
 
     def quick_scores(self, patterns: Sequence[Patterns]) -> list[float]:
         """Compute the `score` of every third row of each, to sort out hypotheses.
@@ -390,3 +408,94 @@ def _cutoff(recording: Recording, interval: float) -> float:
         if np.median(acceleration / np.maximum(np.std(qdd, axis=0), TINY)) < _NOISE_PART:
             return float(cutoff)
     return float(min(_LOWEST, highest))
+
+
+LEAST_GAIN = 0.15
+"""Least fall of the mean logarithm of the joints' errors once a cause is removed."""
+ALIKE = LEAST_GAIN / 3.0
+"""Causes whose gains differ by a third of that are told apart by chance."""
+# A remedy must take away this part of the squares of the errors beyond noise, of joints with errors
+# of this part of their torque. (Smaller ones may be friction's that no model has.)
+_REMOVED, _LARGE = 0.5, 0.05
+
+
+@dataclasses.dataclass(frozen=True)
+class Cause:
+    """A finding, and the evidence without what it names.
+
+    - `finding`: with its evidence.
+    - `gain`: decrease of the mean logarithm of the errors once the cause is corrected.
+    - `mended`: returns the evidence of the recording without what the finding names; None if
+      nothing else can be judged with it.
+    """
+
+    finding: Finding
+    gain: float
+    mended: Callable[[], Evidence | None]
+
+
+def removes(
+    before: Float[np.ndarray, " joints"],
+    after: Float[np.ndarray, " joints"],
+    noise: Float[np.ndarray, " joints"],
+) -> bool:
+    """Return whether a remedy takes away most of the large errors beyond noise.
+
+    >>> before, noise = np.array([0.2, 0.02]), np.array([0.01, 0.01])
+    >>> removes(before, np.array([0.05, 0.02]), noise), removes(before, 0.9 * before, noise)
+    (True, False)
+    """
+    excess, remaining = (np.maximum(errors**2 - noise**2, 0.0) for errors in (before, after))
+    large = before > _LARGE
+    return bool(np.sum(remaining[large]) <= (1.0 - _REMOVED) * np.sum(excess[large]))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Change:
+    """Columns of positions and torques in another order, and multiplied by factors.
+
+    - `motion_order`, `torque_order`: (n,) which column becomes each joint's; None for the same.
+    - `motion_factors`, `torque_factors`: (n,) of the columns in their new order.
+    - `motion_offsets`: (n,) added to the positions last [rad or m].
+    """
+
+    motion_order: Int[np.ndarray, " joints"] | None = None
+    torque_order: Int[np.ndarray, " joints"] | None = None
+    motion_factors: Float[np.ndarray, " joints"] | float = 1.0
+    torque_factors: Float[np.ndarray, " joints"] | float = 1.0
+    motion_offsets: Float[np.ndarray, " joints"] | float = 0.0
+
+    def patterns(self, patterns: Patterns) -> Patterns:
+        """Return the patterns of the changed recording."""
+        q, qd, qdd = (self._motion(x) for x in (patterns.q, patterns.qd, patterns.qdd))
+        valid = np.asarray(patterns.backlash_mask)
+        return Patterns(
+            patterns.time,
+            q + self.motion_offsets,
+            qd,
+            qdd,
+            self._torque(patterns.torque),
+            # Where both columns of a joint are measured.
+            _ordered(valid, self.motion_order) & _ordered(valid, self.torque_order),
+            _ordered(patterns.friction_mask, self.motion_order),
+        )
+
+    def recording(self, recording: Recording) -> Recording:
+        """Return the changed recording, without velocities and accelerations."""
+        position, torque = self._motion(recording.position), self._torque(recording.torque)
+        return Recording(recording.time, position + self.motion_offsets, torque)
+
+    def mended(self, evidence: Evidence) -> Evidence:
+        """Return the evidence of the recording as it would be."""
+        return Evidence.of(evidence.network, self.recording(evidence.recording), evidence.valid)
+
+    def _motion(self, values: Any) -> np.ndarray:
+        return _ordered(values, self.motion_order) * self.motion_factors
+
+    def _torque(self, values: Any) -> np.ndarray:
+        return _ordered(values, self.torque_order) * self.torque_factors
+
+
+def _ordered(values: Any, order: Int[np.ndarray, " joints"] | None) -> np.ndarray:
+    values = np.asarray(values)
+    return values if order is None else values[:, order]

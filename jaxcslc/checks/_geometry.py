@@ -16,8 +16,16 @@ from jaxtyping import Float
 from ..derivation import BODY, Chain, LinkFrame, NewtonEuler, link_frames
 from ..manipulator import Length, Manipulator
 from ..network import CSLC
-from ._causes import LEAST_GAIN, Cause, removes
-from ._evidence import LARGEST_ERROR, SMALLEST_ERROR, TINY, Evidence
+from ._evidence import (
+    LARGEST_ERROR,
+    LEAST_GAIN,
+    SMALLEST_ERROR,
+    TINY,
+    Cause,
+    Evidence,
+    counted_rms,
+    removes,
+)
 from ._findings import finding
 
 
@@ -187,7 +195,7 @@ def _errors_about(
         for index, column in zip(support, columns, strict=True):
             if index in friction:
                 whole[:, joint, size + index] = column[rows]
-    scale = np.sqrt(np.where(mask, torque**2, 0.0).sum(axis=0) / np.maximum(mask.sum(axis=0), 1))
+    scale = counted_rms(torque, mask)
     weight = np.where(mask & (scale > 0.0), 1.0 / np.where(scale > 0.0, scale, 1.0), 0.0)
     whole, torque = whole * weight[..., None], torque * weight
     sizes = np.sqrt(np.mean(whole**2, axis=(0, 1)))

@@ -7,6 +7,7 @@ have been. The masses of the robot's file tell apart what the recording alone do
 
 import dataclasses
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,7 @@ from jaxtyping import Bool, Float, Int
 from ..least_squares import HostColumns, columns_of, torque_by, torque_of
 from ..network import CSLC, derive
 from ..recordings import Patterns, Recording
-from ._causes import LEAST_GAIN, Cause, Change, removes
-from ._evidence import TINY, Evidence
+from ._evidence import LEAST_GAIN, TINY, Cause, Change, Evidence, counted_rms, removes
 from ._findings import Finding, finding
 from ._first_order import BLOCKS, Columns, FirstOrder, Score, gravity_columns
 from ._geometry import geometry_errors
@@ -245,12 +245,6 @@ class _Trial:
         """Return the errors of changed patterns."""
         return FirstOrder.of(self.evidence, patterns, only=("", 0)).score()
 
-    def changed(self, change: Change) -> Callable[[], Evidence]:
-        """Return a function that returns the evidence of the changed recording."""
-        evidence = self.evidence
-        recording = change.recording(evidence.recording)
-        return lambda: Evidence.of(evidence.network, recording, evidence.valid)
-
 
 def _torque_scale(trial: _Trial) -> Iterator[Cause]:
     """Yield the scale of one joint's torque, or of those of all, relative to the others."""
@@ -278,7 +272,7 @@ def _torque_scale(trial: _Trial) -> Iterator[Cause]:
         f"torques are too large for the motion of the other joints by factors of {listed}"
         if len(names) > 1
         else f"torque is {factors[off[0]]:.3g} times what goes with the torques of the others",
-        trial.changed(Change(torque_factors=1.0 / factors)),
+        partial(Change(torque_factors=1.0 / factors).mended, trial.evidence),
         listed=listed,
     )
 
@@ -303,7 +297,7 @@ def _zero_position(trial: _Trial) -> Iterator[Cause]:
         trial.name,
         trial.rescored(change.patterns(trial.evidence.patterns)),
         f"positions fit the torque best less {shown}",
-        trial.changed(change),
+        partial(change.mended, trial.evidence),
         joint=trial.name,
         offset=shown,
     )
@@ -327,7 +321,7 @@ def _position_scale(trial: _Trial) -> Iterator[Cause]:
         trial.name,
         trial.rescored(change.patterns(trial.evidence.patterns)),
         f"positions fit the torque best divided by {factor:.3g}",
-        trial.changed(change),
+        partial(change.mended, trial.evidence),
         joint=trial.name,
         factor=f"{factor:.3g}",
     )
@@ -632,11 +626,8 @@ def file_factors(evidence: Evidence) -> FileFactors | None:
     k = np.asarray(network.coefficients_from(network.robot.links))
     motion = torque_by(network.support, evidence.columns(patterns), k) - gravity
     mask = np.asarray(patterns.mask)
-    counts = np.maximum(mask.sum(axis=0), 1)
-    sizes, others = (
-        np.sqrt(np.where(mask, x**2, 0.0).sum(axis=0) / counts) for x in (gravity, motion)
-    )
-    loaded = (sizes > _LOADED * np.max(sizes)) & (sizes > others) & (counts > 20)
+    sizes, others = (counted_rms(x, mask) for x in (gravity, motion))
+    loaded = (sizes > _LOADED * np.max(sizes)) & (sizes > others) & (mask.sum(axis=0) > 20)
     factors: list[tuple[int, float, float]] = []
     for joint in np.flatnonzero(loaded & (np.ptp(torque, axis=0) > 0.0)).tolist():
         rows = mask[:, joint]

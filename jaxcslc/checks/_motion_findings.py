@@ -8,7 +8,8 @@ import dataclasses
 import json
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -20,8 +21,20 @@ from .._text_table import number_text
 from ..least_squares import HostColumns, LeastSquares, regressor_of, reidentify, torque_by
 from ..network import CSLC
 from ..recordings import Patterns, Preparation, Recording, noise_level
-from ._causes import ALIKE, LEAST_GAIN, Cause, Change, removes
-from ._evidence import LARGEST_ERROR, SMALLEST_ERROR, TINY, WELL, Evidence, PriorFit
+from ._evidence import (
+    ALIKE,
+    LARGEST_ERROR,
+    LEAST_GAIN,
+    SMALLEST_ERROR,
+    TINY,
+    WELL,
+    Cause,
+    Change,
+    Evidence,
+    PriorFit,
+    error_part,
+    removes,
+)
 from ._findings import Finding, finding
 from ._first_order import carried_masses
 from ._geometry import axis_causes
@@ -113,11 +126,10 @@ def _likeliest(evidence: Evidence) -> Cause | None:
     errors = evidence.relative_errors
     if np.any(errors > np.maximum(_BEYOND_NOISE * evidence.noise, _UNEXPECTED)):
         causes += model_causes(evidence, lengths=not tame)
-    interval = float(np.median(np.diff(evidence.recording.time)))
-    least = max(interval, LEAST_LAG)
+    least = max(evidence.interval, LEAST_LAG)
     lag = torque_lag_of(evidence, least)
     if lag is not None and lag.beyond(least):
-        late = _late(evidence, lag, interval)
+        late = _late(evidence, lag)
         # A lag that is there leaves no tame motion once it is mended.
         mended = late.mended() if tame else None
         causes += [late] if mended is None or not _excitation(mended)[0] else []
@@ -266,14 +278,8 @@ def _causes_in_columns(evidence: Evidence, score: float) -> list[Cause]:
             listed = ", ".join(names[joint] for joint in hypothesis.joints if joint in driven)
             text = f"friction of {listed} drives its motion instead of braking it"
         found = dataclasses.replace(hypothesis.finding, evidence=text)
-        causes.append(Cause(found, gain, _mended(evidence, hypothesis.change)))
+        causes.append(Cause(found, gain, partial(hypothesis.change.mended, evidence)))
     return causes
-
-
-def _mended(evidence: Evidence, change: Change) -> Callable[[], Evidence]:
-    return lambda: Evidence.of(
-        evidence.network, change.recording(evidence.recording), evidence.valid
-    )
 
 
 # Friction drives a joint if it feeds this part of its torque's power into the motion, and more than
@@ -316,7 +322,7 @@ def _driven_joints(
     return [j for j in suspects if power[j] < -_SIGNIFICANT * np.sqrt(variance[j])]
 
 
-def _late(evidence: Evidence, lag: TorqueLag, interval: float) -> Cause:
+def _late(evidence: Evidence, lag: TorqueLag) -> Cause:
     word = "late" if lag.lag > 0 else "early"
     low, high = sorted((abs(lag.low), abs(lag.high)))
     recording = evidence.recording
@@ -324,7 +330,7 @@ def _late(evidence: Evidence, lag: TorqueLag, interval: float) -> Cause:
     found = finding(
         "torque lag",
         f"torques fit the motion best {1e3 * abs(lag.lag):.3g} ms {word} (95 % interval"
-        f" {1e3 * low:.3g} to {1e3 * high:.3g} ms; {abs(lag.lag) / interval:.2g} samples)",
+        f" {1e3 * low:.3g} to {1e3 * high:.3g} ms; {abs(lag.lag) / evidence.interval:.2g} samples)",
         lag=lag.lag,
     )
     late = Recording(recording.time, recording.position, torque)
@@ -351,7 +357,8 @@ def _torque_unit(evidence: Evidence, prior: PriorFit, score: float) -> Cause | N
             name,
             listed=listed,
         )
-        return Cause(found, score - _objective(evidence, changed), _mended(evidence, change))
+        gain = score - _objective(evidence, changed)
+        return Cause(found, gain, partial(change.mended, evidence))
     if well.sum() < min(2, len(well)) or 1 / _OTHER_UNIT < common < _OTHER_UNIT:
         return None
     change = Change(torque_factors=1.0 / prior.factors)
@@ -365,7 +372,7 @@ def _torque_unit(evidence: Evidence, prior: PriorFit, score: float) -> Cause | N
         f"torques follow those of the masses in the robot's file, but times {listed}",
         "" if well.all() else ", ".join(names),
     )
-    return Cause(found, gain, _mended(evidence, change))
+    return Cause(found, gain, partial(change.mended, evidence))
 
 
 def _mismatched(evidence: Evidence, prior: PriorFit) -> np.ndarray:
@@ -593,8 +600,5 @@ def _errors(
     network: CSLC, k: Float[np.ndarray, " coefficients"], patterns: Patterns
 ) -> Float[np.ndarray, " joints"]:
     """Return the error of each joint as part of its torque's root mean square."""
-    mask, torque = np.asarray(patterns.mask), np.asarray(patterns.torque)
-    error = torque - np.asarray(regressor_of(network, patterns)) @ k
-    squares = np.where(mask, error**2, 0.0).sum(axis=0)
-    size = np.where(mask, torque**2, 0.0).sum(axis=0)
-    return np.sqrt(squares / np.where(size > 0, size, 1.0))
+    predicted = np.asarray(regressor_of(network, patterns)) @ k
+    return error_part(np.asarray(patterns.torque) - predicted, patterns)

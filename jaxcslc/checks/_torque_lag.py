@@ -157,7 +157,7 @@ def _search(evidence: Evidence) -> tuple[float, float]:
 def _refined(evidence: Evidence, lag: float, gain: float) -> TorqueLag:
     """Fit the lag as one more coefficient of equations whose two sides pass the same filter."""
     network, recording = evidence.network, evidence.recording
-    interval = float(np.median(np.diff(recording.time)))
+    interval = evidence.interval
     preparation = Preparation(
         Butterworth(min(_APART * evidence.cutoff, CUTOFF_OF_RATE / interval)),
         threshold_fraction=SLOW,

@@ -1,8 +1,8 @@
 """The command `jaxcslc`: options, one call of the library, and printed results.
 
-- `_app`: the program; `_process`: settings of its process.
+- `_app`: the program, and its completion in shells; `_process`: settings of its process.
 - `_check`, `_compare`, `_derive`, `_example`, `_excite`, `_export`, `_identify`, `_init`,
-  `_payload`, `_completion`: the commands.
+  `_payload`: the commands.
 - `_options`, `_help`: options from annotations, and their help.
 - `_common`, `_inputs`, `_project`: what commands share; how they read robots, recordings and
   `jaxcslc.toml`.

@@ -1,16 +1,19 @@
-"""The program: its commands by name, and a run in this process."""
+"""The program: its commands by name, a run in this process, and `jaxcslc completion`."""
 
+import argparse
 import os
 import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from importlib.metadata import version
+from pathlib import Path
 from types import MappingProxyType
+from typing import Annotated, Any, Literal
 
-from ._common import Command, one_line_errors, show
+from ._common import Command, Context, Output, command, one_line_errors, show
 from ._help import program_text
-from ._options import UsageError, did_you_mean
+from ._options import UsageError, add_options, argument, did_you_mean
 from ._process import collect_garbage
 
 
@@ -31,7 +34,7 @@ _GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "export": ("_export", "Write a robot file with identified parameters, or C code."),
         "excite": ("_excite", "Design the motion to record next."),
         "derive": ("_derive", "Derive the inverse dynamics, without a recording."),
-        "completion": ("_completion", "Print the completion script of a shell."),
+        "completion": ("_app", "Print the completion script of a shell."),
     },
 }
 _MODULES = {name: module for row in _GROUPS.values() for name, (module, _) in row.items()}
@@ -99,3 +102,39 @@ def _configure() -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     collect_garbage()
+
+
+@command(
+    "command",
+    "completion bash > ~/.local/share/bash-completion/completions/jaxcslc",
+    "completion zsh > ~/.zfunc/_jaxcslc",
+)
+def completion_command(
+    context: Context,
+    shell: Annotated[Literal["bash", "zsh", "fish", "tcsh"], argument("SHELL", "Your shell.")],
+) -> Output:
+    """Print the script by which a shell completes commands, options and files.
+
+    Write it where the shell looks for such scripts, and open a new shell. The script holds all
+    names, so that completing starts no program.
+    """
+    from .._environment import require  # imports JAX, which `jaxcslc --help` does without
+
+    del context
+    shtab: Any = require("shtab", "completion")
+    program = argparse.ArgumentParser("jaxcslc", description="Identify robot arms.")
+    program.add_argument("--version", action="store_true", help="Print the version.")
+    commands = program.add_subparsers()
+    summaries = {name: text for row in SUMMARIES.values() for name, text in row.items()}
+    for name in COMMANDS:
+        known = command_named(name)
+        parser = commands.add_parser(name, help=summaries[name], description=known.about)
+        parser.add_argument("--help-all", action="store_true", help="Show all options.")
+        for parameter, action in add_options(parser, known.parameters, old=False):
+            action.choices = parameter.choices or None
+            if parameter.item is Path:
+                vars(action)["complete"] = shtab.FILE
+        if any(parameter.option.positional for parameter in known.parameters):
+            files = parser.add_argument("files", nargs="*", help="Robot and recordings.")
+            vars(files)["complete"] = shtab.FILE
+    return Output(shtab.complete(program, shell))

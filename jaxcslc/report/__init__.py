@@ -3,7 +3,7 @@
 results ──► Report (sections) ──► text, identification.json, CSV, index.html
 
 - `_report`, `_section`, `sections/`: a report and its kinds of results.
-- `_output`, `_load`: its files, written and read back; `_comparison`: two reports.
+- `_files`: its files, written and read back; `_comparison`: two reports.
 - `_page`, `_charts`: HTML pages.
 - `_coefficients`, `_errors`, `_excitation`: verdicts and figures of a fit, as sections show them.
 - `_derivation_report`: what a network has.
@@ -42,10 +42,8 @@ from ._errors import (
     torque_errors as torque_errors,
 )
 from ._excitation import Excitation as Excitation, degree_of_excitation as degree_of_excitation
-from ._load import (
+from ._files import (
     load_settings as load_settings,
-)
-from ._output import (
     replaced_files as replaced_files,
     write_csv as write_csv,
     write_json as write_json,

@@ -15,7 +15,7 @@ from ._coefficients import (
     legend_text,
     model_lines,
 )
-from ._output import write_csv, write_json
+from ._files import write_csv, write_json
 
 
 # Counting the tables of 12 right-angled joints takes ten times as long as all the rest.

@@ -27,8 +27,7 @@ from ..uncertainty import standard_uncertainty
 from ._charts import Panel, PanelChart
 from ._coefficients import CoefficientRow, ModelDescription, coefficient_rows
 from ._errors import predicted_torque
-from ._load import identification_file, read_files, saved_network
-from ._output import write_report
+from ._files import identification_file, read_files, saved_network, write_report
 from ._page import Message, Page, Section, Tone, render
 from ._section import IDENTIFICATION, AbstractSection, counted
 from .sections import SECTIONS, curve_chart
