@@ -181,12 +181,13 @@ def _hypotheses(
         signs = np.ones(count)
         signs[[*joints]] = -1.0
         single = names[joints[0]] if len(joints) == 1 else ""
+        listed = ", ".join(f"{x:g}" for x in signs.tolist())
         for what, change in (
             ("position", Change(motion_factors=signs)),
             ("torque", Change(torque_factors=signs)),
             ("position and torque", Change(motion_factors=signs, torque_factors=signs)),
         ):
-            entries = (f"[{quantity}] sign = {_toml(signs)}" for quantity in what.split(" and "))
+            entries = (f"[{quantity}] sign = [{listed}]" for quantity in what.split(" and "))
             words = {"what": what, "joint": single, "entries": " and ".join(entries)}
             row = "sign" if single else "sign: of all joints"
             yield _Hypothesis(finding(row, "", single, **words), joints, change)
@@ -226,11 +227,6 @@ def _hypotheses(
 
 # Motion in degrees covers more than this.
 _LEAST_DEGREES = 5.0
-
-
-def _toml(values: np.ndarray) -> str:
-    """Return an array of TOML."""
-    return f"[{', '.join(f'{x:g}' for x in values.tolist())}]"
 
 
 def _renamed(names: Sequence[str], order: Sequence[int]) -> str:

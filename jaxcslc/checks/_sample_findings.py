@@ -343,9 +343,9 @@ def repeats_row_before(values: Float[np.ndarray, "samples joints"]) -> Bool[np.n
     return np.append(False, np.all(values[1:] == values[:-1], axis=1))
 
 
-def _moving(recording: Recording, reach: int = 8) -> Bool[np.ndarray, " samples"]:
+def _moving(recording: Recording) -> Bool[np.ndarray, " samples"]:
     """Mark rows around which some joint moves by several counts from row to row."""
-    position = recording.position
+    position, reach = recording.position, 8
     ahead = np.zeros(position.shape)
     ahead[reach:-reach] = np.abs(position[2 * reach :] - position[: -2 * reach]) / (2 * reach)
     fastest = np.quantile(ahead, 0.98, axis=0)

@@ -45,9 +45,11 @@ class Project:
 
         A command about another robot has none of the values: they are about the file's robot.
         """
+        from ._inputs import BUNDLED  # imports what commands on robots need
+
         robot = self.values.get("robot")
         others = {name: value for name, value in self.values.items() if name != "robot"}
-        if words and _names_robot(words[0]):
+        if words and (words[0] in BUNDLED or Path(words[0]).suffix.lower() in _ROBOT_FILES):
             same = robot is None or Path(words[0]).absolute() == Path(robot).absolute()
             if not same:
                 note = f"note: {FILE} is about {robot}; not used for {words[0]}"
@@ -67,12 +69,6 @@ def project_parameters() -> Mapping[str, Parameter]:
     from ._inputs import PROJECT_PARAMETERS
 
     return {parameter.name: parameter for parameter in PROJECT_PARAMETERS}
-
-
-def _names_robot(word: str) -> bool:
-    from ._inputs import BUNDLED
-
-    return word in BUNDLED or Path(word).suffix.lower() in _ROBOT_FILES
 
 
 def _value(parameter: Parameter, stated: Any) -> Any:

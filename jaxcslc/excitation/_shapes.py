@@ -124,10 +124,6 @@ def _compiled(spec: Any) -> Any:
     return spec.compile()
 
 
-def _collides(geom: Any) -> bool:
-    return bool(geom.contype or geom.conaffinity)
-
-
 def _spec_of_file(path: Path, urdf: bool, notes: list[str]) -> Any:
     """Return a file's shapes for collisions, and add notes on those that cannot be read."""
     mujoco: Any = require("mujoco", "urdf")
@@ -142,7 +138,7 @@ def _spec_of_file(path: Path, urdf: bool, notes: list[str]) -> Any:
     else:
         spec = mujoco.MjSpec.from_file(str(path))
         for geom in list(spec.geoms):
-            if not _collides(geom):
+            if not (geom.contype or geom.conaffinity):  # it is to be seen only
                 spec.delete(geom)
     for kind in _UNNEEDED:
         for element in list(getattr(spec, kind)):

@@ -282,7 +282,8 @@ def source_file(
     for c, value in zip(network.coefficients, k, strict=True):
         lines.append(f"  {c.name:<{width}} = {value:.17g} {comment_text(c.unit)}")
     lines += ["*/", "", "#include <math.h>", "", f'#include "{name}.h"', ""]
-    lines += sorted({text for function in functions for text in _definitions(function.graph)})
+    used = {operation.name for function in functions for operation in function.graph.operations}
+    lines += sorted(text for name, text in _DEFINITIONS.items() if name in used)
     for function in functions:
         lines += [
             f"/* {function.operation.summary} {function.cost} operations. */",
@@ -305,12 +306,6 @@ def _signature(name: str, joints: int, function: ExportedFunction) -> str:
     return text.replace(f", double {operation.output}", f",\n    double {operation.output}")
 
 
-def _definitions(graph: Expressions) -> list[str]:
-    """Return functions that the expressions use and C's library does not have."""
-    used = {operation.name for operation in graph.operations}
-    return [text for name, text in _DEFINITIONS.items() if name in used]
-
-
 def _statements(function: ExportedFunction) -> list[str]:
     output = function.operation.output
     stores = [(x, f"{output}[{i}] = {{0}};") for i, x in enumerate(function.values)]
@@ -328,8 +323,8 @@ def _unused(function: ExportedFunction) -> list[str]:
 def _about(network: CSLC) -> list[str]:
     robot = network.robot
     kinds = ", ".join(
-        f"{joint} {'revolute [rad, N m]' if kind == 'R' else 'prismatic [m, N]'}"
-        for joint, kind in zip(_joint_names(network), network.joint_kinds, strict=True)
+        f"{comment_text(label)} {'revolute [rad, N m]' if kind == 'R' else 'prismatic [m, N]'}"
+        for label, kind in zip(network.output_labels, network.joint_kinds, strict=True)
     )
     return [
         f"Inverse dynamics of {comment_text(robot.name)}, written by jaxcslc.",
@@ -364,10 +359,6 @@ def _about_states(
             " goes one way."
         ),
     ]
-
-
-def _joint_names(network: CSLC) -> list[str]:
-    return [comment_text(label) for label in network.output_labels]
 
 
 def _wrapped(text: str) -> list[str]:

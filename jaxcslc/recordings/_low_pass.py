@@ -61,8 +61,7 @@ def zero_phase(
     # The record goes on by its own reflection in its end points for as long as the filter
     # remembers: scipy's default is a few samples, of which a slow filter leaves transients.
     padding = min(int(np.ceil(_REFLECTED_PERIODS / (cutoff * interval))), signal.shape[0] - 1)
-    before, after = 2 * x[0] - x[padding:0:-1], 2 * x[-1] - x[-2 : -(padding + 2) : -1]
-    forwards = low_pass.run(np.concatenate([before, x, after]))
+    forwards = low_pass.run(_reflected(x.T, padding).T)
     both = low_pass.run(forwards[::-1])[::-1]
     return both[padding : padding + len(x)].reshape(signal.shape)
 
@@ -206,7 +205,9 @@ def decimated_low_pass(
         return zero_phase(np.asarray(rows, float).T, interval, cutoff=cutoff).T[:, kept]
     weights = _impulse_response(cutoff * interval)
     reach = len(weights) // 2
-    extended = _extended(np.asarray(rows, float), reach)
+    reflected = min(reach, rows.shape[1] - 1)
+    extended = _reflected(np.asarray(rows, float), reflected)
+    extended = np.pad(extended, ((0, 0), (reach - reflected,) * 2), mode="edge")
     step = int(np.gcd.reduce(np.diff(kept))) or 1
     count = (int(kept[-1]) - int(kept[0])) // step + 1
     # Row i of the product is the impulse response, `i * step` samples later.
@@ -224,23 +225,11 @@ def decimated_low_pass(
     return result if len(kept) == count else result[:, (kept - kept[0]) // step]
 
 
-def _extended(
+def _reflected(
     rows: Float[np.ndarray, "columns samples"], reach: int
 ) -> Float[np.ndarray, "columns longer"]:
-    """Extend signals at both ends by their reflection in the end points, then constant."""
-    samples = rows.shape[1]
-    reflected = min(reach, samples - 1)
-    extended = np.empty((len(rows), samples + 2 * reach))
-    inside = slice(reach, reach + samples)
-    extended[:, inside] = rows
-    first, last = rows[:, :1], rows[:, -1:]
-    extended[:, reach - reflected : reach] = 2 * first - rows[:, reflected:0:-1]
-    extended[:, inside.stop : inside.stop + reflected] = (
-        2 * last - rows[:, -2 : -(reflected + 2) : -1]
-    )
-    extended[:, : reach - reflected] = extended[:, reach - reflected, None]
-    extended[:, inside.stop + reflected :] = extended[:, inside.stop + reflected - 1, None]
-    return extended
+    """Extend signals at both ends by their reflection in the end points."""
+    return np.pad(rows, ((0, 0), (reach, reach)), mode="reflect", reflect_type="odd")
 
 
 @lru_cache(maxsize=64)

@@ -4,6 +4,7 @@
 their `NormalEquations`.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -384,14 +385,8 @@ def examples(
     _check(network, training_set, named=jnp.asarray(targets))
     with_contexts = any(subnetwork.contexts for subnetwork in network.subnetworks)
     if network.linear and with_contexts:
-        training_set = eqx.tree_at(
-            lambda e: e.condensed, training_set, _condensed(network, signals), is_leaf=_is_none
-        )
+        return dataclasses.replace(training_set, condensed=_condensed(network, signals))
     return training_set
-
-
-def _is_none(x: object) -> bool:
-    return x is None
 
 
 @eqx.filter_jit
@@ -503,10 +498,7 @@ def with_normal_equations(network: AdaptiveNetwork, training_set: Examples) -> E
     >>> both.change(network, Backpropagation(), jnp.zeros(2), (True,)).tolist()
     [[1.5, 2.0]]
     """
-    equations = normal_equations(network, training_set)
-    return eqx.tree_at(
-        lambda part: part.equations, training_set, equations, is_leaf=lambda x: x is None
-    )
+    return dataclasses.replace(training_set, equations=normal_equations(network, training_set))
 
 
 @eqx.filter_jit

@@ -146,10 +146,13 @@ def half_rms(errors: Errors, counts: Errors) -> Float[Array, ""]:
     return 0.5 * jnp.sum(jnp.sqrt(squares)) / jnp.maximum(jnp.sum(counted_outputs > 0), 1.0)
 
 
+def _counted_patterns(counts: Errors) -> Float[Array, ""]:
+    return jnp.maximum(jnp.sum(jnp.sum(counts, axis=0) > 0), 1.0)
+
+
 def half_square(errors: Errors, counts: Errors) -> Float[Array, ""]:
     """Half the sum of a pattern's squared errors, averaged over patterns (Eqn. 3.4-2)."""
-    patterns = jnp.maximum(jnp.sum(jnp.sum(counts, axis=0) > 0), 1.0)
-    return 0.5 * jnp.sum(errors**2 * counts) / patterns
+    return 0.5 * jnp.sum(errors**2 * counts) / _counted_patterns(counts)
 
 
 class ErrorSum(NamedTuple):
@@ -172,10 +175,6 @@ class ErrorSum(NamedTuple):
 def error_sum(cost: Cost) -> ErrorSum | None:
     """The sum that a cost is; None of a user's own."""
     return _ERROR_SUMS.get(cost)
-
-
-def _counted_patterns(counts: Errors) -> Float[Array, ""]:
-    return jnp.maximum(jnp.sum(jnp.sum(counts, axis=0) > 0), 1.0)
 
 
 _ERROR_SUMS: dict[Cost, ErrorSum] = {

@@ -10,9 +10,8 @@ import pytest
 
 import jaxcslc as jc
 import sim
-from jaxcslc.checks._causes import Change, removes
 from jaxcslc.checks._channel_findings import Channels
-from jaxcslc.checks._evidence import Evidence
+from jaxcslc.checks._evidence import Change, Evidence, removes
 from jaxcslc.checks._first_order import BLOCKS, FirstOrder, gravity_columns
 from jaxcslc.checks._model_findings import file_factors
 from scripts.studies.checks.robots import FILES, Conditions, Fault, Run, arm, record

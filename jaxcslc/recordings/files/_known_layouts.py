@@ -63,7 +63,7 @@ TORQUE_RECORDING = RecordingKind(QUANTITIES, REQUIRED, layout_by_format)
 SERVO_RECORDING = RecordingKind(COMMAND_QUANTITIES, COMMANDED, servo_layout)
 
 
-def _libfranka_layout(header: Header, joints: int = 7) -> ColumnLayout:
+def _libfranka_layout(header: Header) -> ColumnLayout:
     """Return the layout of the log that libfranka writes, `franka::logToCSV`.
 
     Columns `time` [ms], `state.q[0]` to `state.q[6]` [rad], `state.dq[0]` and on [rad/s],
@@ -72,9 +72,9 @@ def _libfranka_layout(header: Header, joints: int = 7) -> ColumnLayout:
     """
     stems = {"position": "state.q", "torque": "state.tau_J", "velocity": "state.dq"}
     quantities = {
-        quantity: tuple(LayoutColumn(f"{stem}[{joint}]") for joint in range(joints))
+        quantity: tuple(LayoutColumn(f"{stem}[{joint}]") for joint in range(7))
         for quantity, stem in stems.items()
-        if f"{stem}[{joints - 1}]" in header.names
+        if f"{stem}[6]" in header.names
     }
     hint = "the log has no column state.tau_J[6]"
     return ColumnLayout(LayoutColumn("time", 1e-3), quantities, notes=header.notes, hint=hint)

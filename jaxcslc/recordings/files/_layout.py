@@ -17,6 +17,8 @@ from jaxtyping import Float
 from .._recording import RecordingError
 
 
+Table = dict[str, Float[np.ndarray, " rows"]]
+
 REQUIRED = ("position", "torque")
 QUANTITIES = (*REQUIRED, "velocity", "acceleration")
 COMMANDED = ("position", "command")
@@ -84,16 +86,6 @@ class ColumnLayout:
     def names(self) -> list[str]:
         """Names of the columns to read, time first."""
         return [column.name for column in self.columns]
-
-    @property
-    def factors(self) -> dict[str, float]:
-        """SI units in one unit of each column that is read."""
-        return {column.name: column.factor for column in self.columns}
-
-    @property
-    def zeros(self) -> dict[str, float]:
-        """Value of each column that is read, in its unit, that stands for 0."""
-        return {column.name: column.zero for column in self.columns}
 
     def split(
         self,

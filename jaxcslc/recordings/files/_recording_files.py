@@ -15,12 +15,10 @@ from jaxtyping import Float
 from jaxcslc._scratch import unfinished
 
 from .._recording import MINIMUM_SAMPLES, Recording, RecordingError, as_columns
+from ._bag import joint_states, read_commanded_bag
 from ._column_mapping import ColumnMapping
 from ._known_layouts import SERVO_RECORDING, TORQUE_RECORDING, RecordingKind
-from ._layout import QUANTITIES, ColumnLayout, Header, LayoutColumn, beginning, is_numbered
-
-
-Table = dict[str, Float[np.ndarray, " rows"]]
+from ._layout import QUANTITIES, ColumnLayout, Header, LayoutColumn, Table, beginning, is_numbered
 
 
 # Names of joints that a CSV header can hold, and that are read back as such.
@@ -188,15 +186,15 @@ def load_recordings(
     ...     tuple(load_recordings(path))
     ('one.npz',)
     """
-    from ._tables import topics_of  # loads Arrow, which others need not wait for
+    from ._tables import is_bag  # loads Arrow, which others need not wait for
 
     path, mapping = Path(path), mapping_of(columns) or ColumnMapping()
-    topics = topics_of(path, file_joints(mapping, joints), mapping.topic)
-    if topics is None:
+    if not is_bag(path):
         return {path.name: load_recording(path, joints, mapping)}
+    states = joint_states(path, file_joints(mapping, joints), mapping.topic)
     return {
         topic: load_recording(path, joints, dataclasses.replace(mapping, topic=topic))
-        for topic in topics
+        for topic in sorted({of_topic.topic for of_topic in states})
     }
 
 
@@ -395,7 +393,7 @@ def _opened(
     path: Path,
     joints: int | Sequence[str] | None,
     columns: ColumnMapping | str | os.PathLike[str] | None,
-) -> tuple[ColumnLayout, Iterator[dict[str, Float[np.ndarray, " rows"]]]]:
+) -> tuple[ColumnLayout, Iterator[Table]]:
     """Open a file: its layout, and its rows piece by piece."""
     from ._tables import open_table  # loads Arrow, which others need not wait for
 
@@ -463,7 +461,6 @@ def load_commands(
 
     **Raises** `RecordingError`: as `load_recording`.
     """
-    from ._bag import read_commanded_bag
     from ._tables import is_bag, open_columns, open_table  # load Arrow: others need not wait
 
     path, mapping = Path(path), mapping_of(columns)

@@ -20,12 +20,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
-from jaxtyping import Float
 
 from .._recording import RecordingError, first_fault
-from ._bag import joint_states, read_bag
+from ._bag import read_bag
 from ._known_layouts import SERVO_HINT
-from ._layout import ColumnLayout, Header, beginning, one_line
+from ._layout import ColumnLayout, Header, Table, beginning, one_line
 
 
 ROW_GROUP = 1 << 16
@@ -47,7 +46,6 @@ _EXPECTED = ".csv, .parquet, .npz, .bag, .mcap, .db3"
 # What unpacking a damaged file raises; `RuntimeError` is of encrypted ones and unknown versions.
 _DAMAGE = (EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error)
 
-Table = dict[str, Float[np.ndarray, " rows"]]
 Columns = dict[str, np.ndarray]
 
 
@@ -144,16 +142,6 @@ def _laid_out(
     return layout, _checked(place, file, layout, file.read(layout))
 
 
-def topics_of(path: Path, joints: Sequence[str] | None, topic: str | None) -> list[str] | None:
-    """Return the topics of a bag's joint states, or None for a file that is no bag.
-
-    `joints` and `topic` are as for `open_table`, and so are errors.
-    """
-    if _kind_of(path) != "bag":
-        return None
-    return sorted({states.topic for states in joint_states(path, joints, topic)})
-
-
 def write_tables(tables: Iterable[Table], unfinished: Path, path: Path) -> None:
     """Write successive tables of columns into one file.
 
@@ -216,7 +204,7 @@ def _checked(
     before: dict[str, float] | None = None
     row = 0
     start = None
-    factors, zeros, time_name = layout.factors, layout.zeros, layout.time_column.name
+    read, time_name = {column.name: column for column in layout.columns}, layout.time_column.name
     tick = file.tick(time_name)
     for piece in pieces:
         time = piece.pop(time_name)
@@ -227,9 +215,9 @@ def _checked(
             start = time[0] if start is None else start
             with np.errstate(invalid="ignore"):  # infinite times are a fault that is named below
                 time = time - start
-        seconds = np.asarray(time * (tick or factors[time_name]), np.float64)
+        seconds = np.asarray(time * (tick or read[time_name].factor), np.float64)
         values = {
-            name: np.asarray((v - zeros[name]) * factors[name], np.float64)
+            name: np.asarray((v - read[name].zero) * read[name].factor, np.float64)
             for name, v in piece.items()
         }
         table = {"time": seconds, **values}

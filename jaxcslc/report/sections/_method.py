@@ -240,10 +240,6 @@ class FilePriorSection(AbstractSection):
     entries = MappingProxyType({"file_prior": dict})
     position = 22
 
-    @classmethod
-    def document_of(cls, result: FileWeight, report: AnyReport) -> Mapping[str, Any]:
-        return {"file_prior": result.document()}
-
     def result(self, name: str, report: AnyReport) -> FileWeight:
         data = self.data["file_prior"]
         share = np.array(data["share"], float)
