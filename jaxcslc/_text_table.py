@@ -48,6 +48,16 @@ def text_table(
     )
 
 
+def first_of(names: Sequence[str], most: int) -> str:
+    """Return names for a message, of which a number stands for those beyond the first.
+
+    >>> first_of(["base", "elbow", "wrist"], 2)
+    'base, elbow and 1 more'
+    """
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
+
+
 # Control characters, except the end of a line, and those that change the direction of writing.
 _CONTROLS = re.compile(
     "[\x00-\x09\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]"

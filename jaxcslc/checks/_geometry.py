@@ -8,13 +8,13 @@ tries whole other axes.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from ..derivation import BODY, Chain, LinkFrame, NewtonEuler, link_frames
-from ..manipulator import Length, Manipulator
+from ..derivation import BODY, Chain, NewtonEuler, link_frames
+from ..manipulator import Axis, Length, Manipulator, link_poses, modified_dh
 from ..network import CSLC
 from ._evidence import (
     LARGEST_ERROR,
@@ -33,8 +33,6 @@ _STEP = 1e-4  # of finite differences [m or rad]
 _TOLERANCE = 1e-10  # of singular values that count: parameters that no motion shows are none
 _FOLDS, _MOST_ROWS = 5, 1000  # of the search for axes
 _CHANGED = "changed"  # name of a length that the file has as zero
-# Cosines and sines of 0, 90 and -90 degrees.
-_STRAIGHT, _QUARTER, _BACK = (1, 0), (0, 1), (0, -1)
 
 
 class GeometryError(NamedTuple):
@@ -87,19 +85,6 @@ class GeometryError(NamedTuple):
         return dataclasses.replace(robot, joints=tuple(joints), numbering=None)
 
 
-class OtherAxis(NamedTuple):
-    """An axis of a joint at right angles to the file's, in the frame that it turns.
-
-    - `joint`: from 0, a revolute one.
-    - `axis`: `"x"` or `"y"` at the joint's zero position.
-    - `sign`: 1 or -1, of the direction in which the joint counts.
-    """
-
-    joint: int
-    axis: str
-    sign: int
-
-
 def geometry_errors(network: CSLC) -> list[GeometryError]:
     """Return the lengths and angles between two joints; none of robots whose joints follow others.
 
@@ -133,15 +118,14 @@ def geometry_columns(
     robot, errors = network.robot, geometry_errors(network)
     if not errors:
         return np.zeros((*torque.shape, 0))
-    q, qd, qdd = motion
-    nominal = body_regressor(robot, q, qd, qdd)
+    nominal = body_regressor(robot, *motion)
     rows = nominal.reshape(-1, nominal.shape[-1])
     scale = np.maximum(np.sqrt(np.mean(rows**2, axis=0)), 1e-12)
     # Of the normal equations: their eigenvalues are squares of singular values.
     inverse = np.linalg.pinv((rows / scale).T @ (rows / scale), _TOLERANCE, hermitian=True)
     parameters = inverse @ ((rows / scale).T @ torque.ravel()) / scale
     columns = [
-        (body_regressor(error.robot(robot, _STEP), q, qd, qdd) - nominal) @ parameters / _STEP
+        (body_regressor(error.robot(robot, _STEP), *motion) - nominal) @ parameters / _STEP
         for error in errors
     ]
     return np.stack(columns, axis=-1)
@@ -157,12 +141,12 @@ def axis_causes(evidence: Evidence) -> list[Cause]:
     network, robot = evidence.network, evidence.network.robot
     if network.joint_count != robot.joint_count or not robot.has_all_lengths:
         return []
-    before = _errors_about(evidence)
+    before = _errors_of(evidence, robot)
     causes: list[Cause] = []
     for joint in np.flatnonzero([kind == "R" for kind in robot.kinds]).tolist():
-        for axis in "xy":
-            for sign in (1, -1):
-                after = _errors_about(evidence, OtherAxis(joint, axis, sign))
+        for axis in np.eye(3)[:2]:
+            for sign in (1.0, -1.0):
+                after = _errors_of(evidence, _about(robot, joint, sign * axis))
                 gain = float(np.mean(np.log(before / after)))
                 if gain < LEAST_GAIN or not removes(before, after, evidence.noise):
                     continue
@@ -176,16 +160,25 @@ def axis_causes(evidence: Evidence) -> list[Cause]:
     return causes
 
 
-def _errors_about(
-    evidence: Evidence, other: OtherAxis | None = None
-) -> Float[np.ndarray, " joints"]:
-    """Return the held-out error of each joint, as part of its torque, if one has another axis."""
+def _about(robot: Manipulator, joint: int, along: Float[np.ndarray, "3"]) -> Manipulator:
+    """Return the robot with a joint that turns about another axis of its frame at position zero."""
+    poses = np.asarray(link_poses(robot, np.zeros(robot.joint_count)))
+    axes = [
+        Axis(row.kind, parent, pose[:3, 3], pose[:3, 2])
+        for row, parent, pose in zip(robot.joints, robot.parents, poses, strict=True)
+    ]
+    axes[joint] = axes[joint]._replace(direction=poses[joint][:3, :3] @ along)
+    return dataclasses.replace(robot, joints=modified_dh(axes)[0], numbering=None)
+
+
+def _errors_of(evidence: Evidence, robot: Manipulator) -> Float[np.ndarray, " joints"]:
+    """Return the held-out error of each joint, as part of its torque, with a robot's geometry."""
     network, patterns = evidence.network, evidence.patterns
     step = -(-patterns.samples // _MOST_ROWS)
     rows = slice(None, None, step)
     q, qd, qdd = (np.asarray(x)[rows] for x in (patterns.q, patterns.qd, patterns.qdd))
     torque, mask = np.asarray(patterns.torque)[rows], np.asarray(patterns.mask)[rows]
-    bodies = body_regressor(network.robot, q, qd, qdd, other)
+    bodies = body_regressor(robot, q, qd, qdd)
     size = bodies.shape[-1]
     whole = np.zeros((*torque.shape, size + network.size))
     whole[..., :size] = bodies
@@ -217,14 +210,12 @@ def body_regressor(
     q: Float[np.ndarray, "samples joints"],
     qd: Float[np.ndarray, "samples joints"],
     qdd: Float[np.ndarray, "samples joints"],
-    other: OtherAxis | None = None,
 ) -> Float[np.ndarray, "samples joints parameters"]:
     """Return torque per unit of each link's ten inertial parameters and its motor's inertia.
 
     Those of a link are in the order of `BODY`, about the origin of its frame; the motor's is last.
 
     - `q`, `qd`, `qdd`: positions, velocities and accelerations [rad or m; s].
-    - `other`: a joint with another axis than the robot's; none by default.
 
     >>> import numpy as np, jaxcslc as jc
     >>> arm = jc.examples.pendulum()
@@ -232,62 +223,26 @@ def body_regressor(
     >>> body_regressor(arm, still, still, still + 1.0)[0, 0, [2, 10]].tolist()
     [1.0, 1.0]
     """
-    signs = np.ones(robot.joint_count)
-    if other is not None:
-        signs[other.joint] = other.sign
-    q, qd, qdd = q * signs, qd * signs, qdd * signs
-    a, d, b = (
-        [float(getattr(joint, letter).value or 0.0) for joint in robot.joints] for letter in "adb"
-    )
-    turns = [
-        joint.theta
-        + (q[:, i] if joint.kind == "R" and (other is None or i != other.joint) else 0.0)
-        for i, joint in enumerate(robot.joints)
-    ]
-    own = link_frames(
+    a, d, b = np.array(
+        [[length.value or 0.0 for *_, length in joint.lengths] for joint in robot.joints]
+    ).T[..., None]
+    turns = np.array([[kind == "R"] for kind in robot.kinds])
+    angles = np.where(turns, q.T, 0.0) + [[joint.theta] for joint in robot.joints]
+    frames = link_frames(
         Chain.from_robot(robot).in_numbers(float),
-        rotations=[(np.cos(turn), np.sin(turn)) for turn in turns],
-        a=a,
-        d=[x + q[:, i] if robot.kinds[i] == "P" else x for i, x in enumerate(d)],
-        b=b,
+        rotations=list(zip(np.cos(angles), np.sin(angles), strict=True)),
+        a=list(a),
+        d=list(d + np.where(turns, 0.0, q.T)),
+        b=list(b),
     )
-    frames: list[LinkFrame] = []
-    rates: list[tuple[Any, Any]] = []
-    moving: list[int] = []  # frames whose z is the joint's axis
-    carried: list[int] = []  # frames of the links
-    for i, frame in enumerate(own):
-        parent = carried[frame.parent] if frame.parent >= 0 else -1
-        frames.append(dataclasses.replace(frame, parent=parent))
-        of_joint = [(qd[:, i], qdd[:, i])]
-        if other is not None and i == other.joint:
-            frames += _turned(len(frames) - 1, other.axis, q[:, i])
-            of_joint = [(0, 0), *of_joint, (0, 0)]
-        moving.append(len(rates) + len(of_joint) // 2)
-        rates += of_joint
-        carried.append(len(frames) - 1)
     units = tuple(np.eye(len(BODY))[:, :, None])
-    columns = NewtonEuler(tuple(frames), robot.gravity).columns(
-        [(frame, units) for frame in carried], *zip(*rates, strict=True)
+    columns = NewtonEuler(frames, robot.gravity).columns(
+        [(link, units) for link in range(robot.joint_count)], list(qd.T), list(qdd.T)
     )
     width = len(BODY) + 1
     result = np.zeros((*q.shape, width * robot.joint_count))
-    for joint, frame in enumerate(moving):
-        for link, column in enumerate(columns[frame]):
+    for joint, own in enumerate(columns):
+        for link, column in enumerate(own):
             result[:, joint, width * link : width * (link + 1) - 1] = np.transpose(column)
         result[:, joint, width * (joint + 1) - 1] = qdd[:, joint]
-    return result * signs[:, None]
-
-
-def _turned(
-    parent: int, axis: str, angle: Float[np.ndarray, " samples"]
-) -> tuple[LinkFrame, LinkFrame]:
-    """Return a frame that turns about x or y of its parent, and one as the parent's behind it."""
-    c, s = np.cos(angle), np.sin(angle)
-    there, turn, back = {
-        "x": ((_QUARTER, _QUARTER), (s, -c), (_QUARTER, _BACK, _BACK)),
-        "y": ((_STRAIGHT, _BACK), (c, s), (_STRAIGHT, _QUARTER, _STRAIGHT)),
-    }[axis]
-    return (
-        LinkFrame(parent, False, *there, turn, (0, 0, 0)),
-        LinkFrame(parent + 1, False, *back, (0, 0, 0)),
-    )
+    return result

@@ -382,21 +382,18 @@ def progress_lines(
     first: str,
     write: Callable[[str], None],
     *,
-    after: float = FIRST,
-    every: float = BETWEEN,
     passed: Mapping[str, float] = PASSED,
     clock: Callable[[], float] = time.monotonic,
 ) -> Generator[Callable[[str], None]]:
     """Write a line when a step begins, and now and then while it goes on.
 
-    Nothing at all if everything takes less than `after` seconds. A line says how long it has taken
+    Nothing at all if everything takes less than `FIRST` seconds. A line says how long it has taken
     and, where the step is known, about how long it still takes.
 
     **Arguments**
 
     - `first`: the step that it begins with.
     - `write`: is called with each line, from another thread too.
-    - `after`, `every`: seconds before the first line, and between lines of one step.
     - `passed`: the part of the time that has passed when a step begins; without it, no line says
       what is left.
     - `clock`: the time [s].
@@ -419,14 +416,14 @@ def progress_lines(
         return f"{text}, about {float(f'{left:.{digits}g}'):.0f} s left"
 
     def watch() -> None:
-        wait = after
+        wait = FIRST
         while not done.wait(wait):
             write(line())
-            wait = every
+            wait = BETWEEN
 
     def step(text: str) -> None:
         current[0] = text, clock() - start
-        if clock() - start > after:
+        if clock() - start > FIRST:
             write(line())
 
     thread = Thread(target=watch, daemon=True)

@@ -34,6 +34,7 @@ from ._inputs import (
     LimitsOption,
     RobotArgument,
     RobotPart,
+    numbers,
     recording_of,
     recordings_of,
 )
@@ -225,15 +226,18 @@ class MotionOptions:
             "resolution": ("--encoder", self.encoder),
         }
         given = {
-            name: _numbers(shown, text) for name, (shown, text) in texts.items() if text is not None
+            name: numbers(shown, text, _NUMBERS)
+            for name, (shown, text) in texts.items()
+            if text is not None
         }
         return {**given, "estimator": _ESTIMATORS[self.estimator]}
 
     def start_pose(self) -> np.ndarray | None:
         """Return the pose that the motion starts from, if it is stated."""
-        return None if not self.start else np.array(_numbers("--start", self.start))
+        return None if not self.start else np.array(numbers("--start", self.start, _NUMBERS))
 
 
+_NUMBERS = "numbers as in 0.1,0.2"
 _ESTIMATORS = {"maximum-likelihood": "likelihood", "least-squares": "regression"}
 _RATE = 500.0  # of a first recording [Hz]
 _STATES = 200  # that show what a coefficient is for the torque
@@ -398,10 +402,3 @@ def _reached(
     if np.all(relative <= target):
         return f"nothing to record: --target is met, {np.max(relative):.3g} % or less"
     return None
-
-
-def _numbers(name: str, text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise UsageError(f"{name}: expected numbers as in 0.1,0.2, got {text!r}") from None

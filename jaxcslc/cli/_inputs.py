@@ -322,15 +322,26 @@ class RecordingOptions:
         return changes
 
 
+def numbers(shown: str, text: str, expected: str, count: int | None = None) -> tuple[float, ...]:
+    """Parse numbers with commas between them: so many, or any number of them.
+
+    **Raises** `UsageError`, which names the option as it is shown, and says what was expected.
+    """
+    try:
+        parsed = tuple(map(float, text.split(",")))
+    except ValueError:
+        parsed = ()
+    if not parsed or count not in (None, len(parsed)):
+        raise UsageError(f"{shown}: expected {expected}, got {text!r}")
+    return parsed
+
+
 def two_numbers(text: str) -> tuple[float, float]:
     """Parse START,END.
 
     **Raises** `UsageError`.
     """
-    try:
-        start, end = (float(part) for part in text.split(","))
-    except ValueError:
-        raise UsageError(f"--between: expected START,END in s, as in 0,8.5, got {text!r}") from None
+    start, end = numbers("--between", text, "START,END in s, as in 0,8.5", 2)
     if not start < end:
         raise UsageError(f"--between: expected START before END, got {text!r}")
     return start, end

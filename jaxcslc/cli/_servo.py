@@ -19,7 +19,7 @@ from ..servo import (
     servo_report,
 )
 from ._common import Context, Output
-from ._inputs import RecordingOptions, RobotPart, robot_notes, two_numbers
+from ._inputs import RecordingOptions, RobotPart, numbers, robot_notes, two_numbers
 from ._options import UsageError, option
 
 
@@ -156,13 +156,11 @@ class ServoOptions(ServoReading):
         super().__post_init__()
 
     def _centre(self) -> list[float]:
-        try:
-            x, y, z = (float(part) for part in self.centre.split(","))
-        except ValueError:
-            x = y = z = math.nan
-        if not all(map(math.isfinite, (x, y, z))):
-            raise UsageError(f"--centre: expected X,Y,Z in m, as in 0,0,0.05, got {self.centre!r}")
-        return [x, y, z]
+        expected = "X,Y,Z in m, as in 0,0,0.05"
+        centre = numbers("--centre", self.centre, expected, 3)
+        if not all(map(math.isfinite, centre)):
+            raise UsageError(f"--centre: expected {expected}, got {self.centre!r}")
+        return list(centre)
 
     def payload(self, robot: Manipulator) -> LinkParameters:
         """Return the payload in the frame of the last link."""

@@ -12,6 +12,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
+from .._environment import array_namespace
 from ..network import CSLC
 
 
@@ -121,11 +122,6 @@ def checked_coefficients(
     return k
 
 
-def namespace(*arrays: Any) -> Any:
-    """Return `jax.numpy` if any of the arrays is JAX's, else `numpy`."""
-    return jnp if any(isinstance(array, jax.Array) for array in arrays) else np
-
-
 PerJoint = float | Sequence[float] | Float[Array | np.ndarray, " joints"]
 
 
@@ -160,7 +156,7 @@ def per_joint(
     JAX arrays stay JAX's; everything else becomes a float64 NumPy array. **Raises** `ValueError`
     for a wrong number of values, or one below `least`; traced values are not checked.
     """
-    xp = namespace(values)
+    xp = jnp if isinstance(values, jax.Array) else np
     numbers = xp.asarray(values, float)
     if numbers.ndim > 1 or numbers.shape not in ((), (joints,)):
         raise ValueError(f"{name}: expected one number or {joints}, got shape {numbers.shape}")
@@ -185,13 +181,13 @@ def aligned(
     if of_numpy and like.dtype == values.dtype:
         return values
     shape = (1,) * (like.ndim - 1) + values.shape
-    return namespace(like, values).asarray(values.reshape(shape), dtype=like.dtype)
+    return array_namespace(like, values).asarray(values.reshape(shape), dtype=like.dtype)
 
 
 def saturated(torque: Joints, limit: Float[Array | np.ndarray, " joints"]) -> Joints:
     """Return torque commands, (*batch, n), clipped at the drives' limits, (n,) [N m or N]."""
     limit = aligned(limit, torque)
-    return namespace(torque, limit).clip(torque, -limit, limit)
+    return array_namespace(torque, limit).clip(torque, -limit, limit)
 
 
 def conditional_integration(
@@ -221,7 +217,7 @@ def conditional_integration(
     [0.1, 0.0, -0.1]
     """
     limit = aligned(limit, torque)
-    xp = namespace(integral, increment, torque, limit)
+    xp = array_namespace(integral, increment, torque, limit)
     outward = (xp.abs(torque) > limit) & (torque * increment > 0)
     return xp.where(outward, integral, integral + increment)
 
@@ -416,7 +412,7 @@ class PID(AbstractController):
 
     def begin(self, q: Joints) -> PIDState:
         """Return the state at rest, without error."""
-        xp = namespace(q)
+        xp = array_namespace(q)
         zero = xp.zeros_like(q)
         return PIDState(zero, zero, zero, xp.zeros((*zero.shape[:-1], 1), int))
 
@@ -430,7 +426,7 @@ class PID(AbstractController):
     ) -> tuple[Joints, PIDState]:
         """Compute the torque command, as `AbstractController.step` describes."""
         error = reference.q - q
-        xp = namespace(error, state.integral)
+        xp = array_namespace(error, state.integral)
         interval = xp.asarray(interval, dtype=error.dtype)
         # No time has passed before the first sample.
         elapsed = xp.where(state.samples > 0, interval, xp.zeros_like(interval))

@@ -12,12 +12,13 @@ import numpy as np
 from jaxtyping import Float
 
 from .._environment import require
+from .._text_table import first_of
 from ..manipulator import Manipulator
 from ..network import JointProjection
 from ._families import AbstractFamily, Parameters, sample_times
 from ._limits import Surroundings
 from ._search import CONTACTS, Contacts, padded_contacts
-from ._shapes import compiled_geometry, listed, random_poses
+from ._shapes import LISTED, compiled_geometry, random_poses
 
 
 # Settings of searches. `scripts/studies/excitation/study.py` judges them by what designs reach.
@@ -273,7 +274,7 @@ def _looked_for(
     )
     missing += ["tables, walls, cables and tools that no file states"]
     pairs = dict.fromkeys(touching)
-    missing += [f"bodies that touch in most poses ({listed([*pairs])})"] * bool(pairs)
+    missing += [f"bodies that touch in most poses ({first_of([*pairs], LISTED)})"] * bool(pairs)
     looked = f"every body keeps {1e3 * surroundings.clearance:.3g} mm from {', '.join(others)}"
     return (
         f"collisions: {looked if any_pairs else 'there are no bodies to be kept apart'}",

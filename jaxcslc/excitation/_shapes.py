@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._environment import require
+from .._text_table import first_of
 from ..manipulator import Manipulator, link_poses
 from ._limits import Surroundings
 
@@ -24,6 +25,7 @@ _SLENDERNESS = 0.055
 _SAME_PLACE = 1e-6  # [m]
 _THICK = 1.0  # of walls and floors [m]
 _WIDE = 20.0
+LISTED = 6  # names in a note
 _POSES = 100  # random poses, for what is so by design
 
 _MESH = re.compile(r"""(<mesh\b[^>]*?\bfilename\s*=\s*)(["'])(.*?)\2""")
@@ -134,7 +136,7 @@ def _spec_of_file(path: Path, urdf: bool, notes: list[str]) -> Any:
         spec = mujoco.MjSpec.from_string(_ROOT.sub(lambda x: x[0] + _COMPILER, text, count=1))
         for why, meshes in unread.items():
             distinct = list(dict.fromkeys(meshes))
-            notes.append(f"meshes that {why}: {listed(distinct, most=2)}")
+            notes.append(f"meshes that {why}: {first_of(distinct, 2)}")
     else:
         spec = mujoco.MjSpec.from_file(str(path))
         for geom in list(spec.geoms):
@@ -321,14 +323,8 @@ class _Skeleton(NamedTuple):
         sizes = f"{used[0]:g} to {used[-1]:g}" if len(used) > 1 else f"{used[0]:g}"
         names = [model.body(body).name for body in bodies.values()]
         whole = len(names) == len(set(model.jnt_bodyid[self.joints].tolist()))
-        which = "all links" if whole else listed(names)
+        which = "all links" if whole else first_of(names, LISTED)
         return [f"capsules of {sizes} mm radius stand for {which}, for which there are no shapes"]
-
-
-def listed(names: Sequence[str], most: int = 6) -> str:
-    """Return names in a row, the first few of many."""
-    more = len(names) - most
-    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def _add_obstacles(

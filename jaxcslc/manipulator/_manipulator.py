@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._display import html_table
 from .._environment import require
 from .._text_table import text_table
 from ._friction import (
@@ -513,14 +514,10 @@ class Manipulator:
     def _repr_html_(self) -> str:
         """Return joints, limits and bodies as a table, for notebooks."""
         header, rows = self._table()
-        lines = [
-            "".join(f"<{tag}>{html.escape(text)}</{tag}>" for text in row)
-            for tag, row in (("th", header), *(("td", row) for row in rows))
-        ]
-        table = "".join(f"<tr>{line}</tr>" for line in lines)
+        columns = dict(zip(header, zip(*rows, strict=True), strict=True))
         notes = "".join(f"<p>{html.escape(note)}</p>" for note in self.notes)
         units = "Positions in rad or m, speeds and torques per joint in SI units."
-        return f"<p>{html.escape(repr(self))}</p><table>{table}</table><p>{units}</p>{notes}"
+        return f"{html_table(repr(self), columns)}<p>{units}</p>{notes}"
 
     def plot(self, q: Float[np.ndarray, " joints"] | None = None) -> Any:
         """Draw lines from joint to joint, as a plotly figure that can be turned.

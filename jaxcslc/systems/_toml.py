@@ -187,7 +187,10 @@ class _Reader:
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 return self._called(name, arguments)
             case _:
-                raise self._wrong(ast.unparse(node))
+                raise DescriptionError(
+                    f"cannot read {ast.unparse(node)!r} in {_short(self.text)}; expected numbers,"
+                    " names, + - * / ** and functions"
+                )
 
     def _number(self, node: ast.AST) -> Any:
         """Read a node that must not be a comparison."""
@@ -240,12 +243,6 @@ class _Reader:
                 f"unknown function {name!r}; expected one of {', '.join(expected)}"
             )
         raise DescriptionError(f"{name} of {len(values)} arguments in {_short(self.text)}")
-
-    def _wrong(self, part: str) -> DescriptionError:
-        return DescriptionError(
-            f"cannot read {part!r} in {_short(self.text)}; expected numbers, names, + - * / ** and"
-            " functions"
-        )
 
 
 _KEYS = {"name", "about", "variables", "constants", "equations", "units"}

@@ -16,6 +16,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
+from .._text_table import first_of
 from ._functions import HARD_LIMITER, LINEAR_COMBINER, Cost, half_square
 from ._kernel import CostKernel, batched_by, cost_kernel, summed_change
 from ._network import AdaptiveNetwork, Layer, Signals, Subnetwork, reaching_weights
@@ -438,10 +439,9 @@ def _check(network: AdaptiveNetwork, training_set: Examples, named: Array) -> No
         ~np.asarray(covered(network, training_set.signals, training_set.learning_counts))
     )
     if len(missing):
-        names = ", ".join(network.names[index] for index in missing[:5])
-        more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
+        names = first_of([network.names[index] for index in missing], 5)
         raise ValueError(
-            f"masks leave no data for {names}{more}: of every pattern that could tell, the"
+            f"masks leave no data for {names}: of every pattern that could tell, the"
             " output is masked or the input zero"
         )
 

@@ -579,15 +579,6 @@ class RuleStatements:
 
         return KernelText(self.graph, reading, functions)
 
-    @property
-    def operations(self) -> int:
-        """Sums, products and other functions of a pattern and a training."""
-        rows = {value.index for value in self.rows}
-        text = KernelText(self.graph, lambda _: None)
-        computed = text.needed(self.sums, rows)
-        free = ("input", "constant", *_FREE)
-        return sum(self.graph.operations[i].name not in free for i in computed) + len(self.sums)
-
 
 def rule_statements(
     network: AdaptiveNetwork,

@@ -11,6 +11,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float
 
+from .._text_table import first_of
 from ..network import AbstractLinearNetwork
 
 
@@ -82,8 +83,7 @@ def drift_text(document: dict[str, Any]) -> str:
     if not drifting:
         return "no coefficient drifts between recordings beyond chance"
     shown = [f"{name} by {100 * share:.2g} %" for name, share in drifting.items()]
-    more = f" and {len(shown) - _NAMED} more" if shown[_NAMED:] else ""
-    return f"coefficients that drift between recordings: {', '.join(shown[:_NAMED])}{more}"
+    return f"coefficients that drift between recordings: {first_of(shown, _NAMED)}"
 
 
 def drift_of(

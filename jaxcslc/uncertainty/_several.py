@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from .._text_table import first_of
 from ..least_squares import (
     Equations,
     Identification,
@@ -180,9 +181,8 @@ class RecordingAgreement:
             alone, others = self.alone[recording], self.others[recording]
             joint = int(np.argmax(others / np.where(alone > 0.0, alone, 1.0)))
             label = f"joint {joint + 1}" if self.joint_names is None else self.joint_names[joint]
-            more = f" and {len(names) - 6} more" if names[6:] else ""
             sentences.append(
-                f"{recording} disagrees with the others in {', '.join(names[:6])}{more}:"
+                f"{recording} disagrees with the others in {first_of(names, 6)}:"
                 f" RMS torque error of {label} {others[joint]:.3g} under the others' coefficients,"
                 f" {alone[joint]:.3g} under its own; {self.causes.get(recording, _NO_CAUSE)}"
             )

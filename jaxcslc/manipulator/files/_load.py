@@ -12,6 +12,8 @@ from typing import NamedTuple, TypeGuard, get_args
 import numpy as np
 from jaxtyping import Float
 
+from jaxcslc._text_table import first_of
+
 from .._joint import Joint, RobotError
 from .._link_parameters import LinkInertia, LinkParameters, fixed_together, seen_from
 from .._manipulator import JointLimits, Manipulator, Mimic, Mimics, Source
@@ -292,7 +294,9 @@ def choose_part(
 
     def index(name: str, what: str) -> int:
         if name not in names:
-            raise RobotError(f"{path}: {what} {name!r} is not among its bodies: {_some(names)}")
+            raise RobotError(
+                f"{path}: {what} {name!r} is not among its bodies: {first_of(names, _LISTED)}"
+            )
         return names.index(name)
 
     start = 0 if base is None else index(base, "base")
@@ -368,7 +372,7 @@ def _fixed(tree: BodyTree, path: Path, fix: Sequence[str]) -> set[str]:
         if not joints and not bodies:
             raise RobotError(
                 f"{path}: fix {pattern!r} matches no body and no joint; its joints are"
-                f" {_some([joint.name for joint in tree.joints])}"
+                f" {first_of([joint.name for joint in tree.joints], _LISTED)}"
             )
         beyond = set[int]().union(*map(tree.carried_by, bodies))
         fixed |= joints | {joint.name for i in beyond for joint in tree.bodies[i].joints}
@@ -410,7 +414,7 @@ def _only_what_is_modelled(
         follower, leader = mimics[0]
         leaders = ",".join(dict.fromkeys(leader for _, leader in mimics if leader in joints))
         others = [name for name, _ in mimics[1:]]
-        too = f" ({_some(others)} too)" if others else ""
+        too = f" ({first_of(others, _LISTED)} too)" if others else ""
         raise RobotError(
             f"{path}: joint {follower!r} mimics {leader!r}{too}; expected --mimic couple, which"
             " moves them together where the law is linear, or --mimic fix (or --fix"
@@ -422,8 +426,3 @@ def _only_what_is_modelled(
                 f"{path}: {kind} between {first!r} and {second!r} closes a loop; only chains and"
                 " trees are modelled"
             )
-
-
-def _some(names: Sequence[str]) -> str:
-    listed = ", ".join(names[:_LISTED])
-    return listed if len(names) <= _LISTED else f"{listed} and {len(names) - _LISTED} more"

@@ -5,6 +5,8 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
+from jaxcslc._text_table import first_of
+
 from .._recording import RecordingError, column_names
 from ._layout import (
     COMMAND_QUANTITIES,
@@ -243,8 +245,7 @@ def _named_layout(
         times[0].with_factor(file), quantities, header.joint_names or names, hint=hint
     )
     unread = [name or "one without a name" for name in header.names if name not in layout.names]
-    more = f" and {len(unread) - 8} more" if len(unread) > 8 else ""
-    note = (f"columns that are not read: {', '.join(unread[:8])}{more}",) if unread else ()
+    note = (f"columns that are not read: {first_of(unread, 8)}",) if unread else ()
     return dataclasses.replace(layout, notes=(*header.notes, *note))
 
 

@@ -14,6 +14,8 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Float
 
+from jaxcslc._text_table import first_of
+
 from .._recording import RecordingError
 
 
@@ -211,8 +213,7 @@ def listed(names: Sequence[str], most: int = 12) -> str:
     >>> listed(["elbow", "joint 2", "wrist"], most=2)
     "elbow, 'joint 2' and 1 more"
     """
-    shown = ", ".join(repr(name) if not name.isidentifier() else name for name in names[:most])
-    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+    return first_of([name if name.isidentifier() else repr(name) for name in names], most)
 
 
 # What messages show at most: names of columns, and characters.
