@@ -10,7 +10,7 @@ error a quadratic form.
 import contextlib
 import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 
 import numpy as np
@@ -104,18 +104,19 @@ class FirstOrder:
             return torque_by(network.support, columns_of(network, moved), rigid)
 
         base = torque_by(network.support, columns, rigid)
-        groups: dict[str, list[int]] = {name: list(range(joints)) for name in ("zero", "scale")}
-        if only is not None:
-            groups = {name: [only[1]] if name == only[0] else [] for name in groups}
-        derivatives: dict[str, list[np.ndarray]] = {"zero": [], "scale": []}
-        units = _STEP * np.eye(joints)
-        for joint in groups["zero"]:
-            derivatives["zero"].append(torque_at(q + units[joint], qd, qdd) - base)
-        for joint in groups["scale"]:
-            factor = 1.0 + units[joint]
-            derivatives["scale"].append(torque_at(factor * q, factor * qd, factor * qdd) - base)
+        moved: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+            "zero": lambda step: torque_at(q + step, qd, qdd),
+            "scale": lambda step: torque_at(*((1.0 + step) * x for x in (q, qd, qdd))),
+        }
+        steps = _STEP * np.eye(joints)
         parts = {
-            name: np.stack(each, axis=-1) / _STEP for name, each in derivatives.items() if each
+            name: np.stack(
+                [torque(step) - base for step in (steps if only is None else steps[[only[1]]])],
+                axis=-1,
+            )
+            / _STEP
+            for name, torque in moved.items()
+            if only is None or only[0] == name
         }
         if only is None:
             parts["motion"] = (base - torque_at(q, 0.0 * qd, 0.0 * qdd))[..., None]

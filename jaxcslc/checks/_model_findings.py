@@ -114,16 +114,20 @@ def significant_cause(evidence: Evidence, *, lengths: bool = True) -> list[Findi
     """
     first = FirstOrder.of(evidence)
     joints = range(evidence.network.joint_count)
-    options = [
-        ("clock", 0, first.group("motion")),
-        *(("zero", joint, first.group("zero", joint)) for joint in joints),
-        *(("scale of torque", joint, first.gains(joint)) for joint in joints),
-        *(_lengths(first) if lengths else []),
-    ]
+
+    def options(first: FirstOrder) -> dict[tuple[str, int], Columns]:
+        of_lengths = _lengths(first) if lengths else []
+        return {
+            ("clock", 0): first.group("motion"),
+            **{("zero", joint): first.group("zero", joint) for joint in joints},
+            **{("scale of torque", joint): first.gains(joint) for joint in joints},
+            **{(kind, which): columns for kind, which, columns in of_lengths},
+        }
+
     least = {"clock": 2.0 * _CLOCK, "zero": _ZERO, "scale of torque": _SCALE}
     # Lengths are many, and other errors pass for small ones of them.
     least["length"] = 2.0 * max(_LENGTH, _TILT)
-    found = [(*first.estimate(columns), kind, which) for kind, which, columns in options]
+    found = [(*first.estimate(columns), *option) for option, columns in options(first).items()]
     found = [x for x in found if abs(x[0]) > max(least[x[2]], _CLEAR * x[1])]
     found = [x for x in found if x[2] != "zero" or abs(x[0]) < _FIRST_ORDER]
     lengths_of, robot = geometry_errors(evidence.network), evidence.network.robot
@@ -139,14 +143,7 @@ def significant_cause(evidence: Evidence, *, lengths: bool = True) -> list[Findi
 
     def estimated(others: Evidence) -> tuple[float, float]:
         first = FirstOrder.of(others)
-        return first.estimate(
-            {
-                "clock": lambda: first.group("motion"),
-                "zero": lambda: first.group("zero", which),
-                "scale of torque": lambda: first.gains(which),
-                "length": lambda: first.group("length", which),
-            }[kind]()
-        )
+        return first.estimate(options(first)[kind, which])
 
     coarser = Evidence.of(network, evidence.recording, evidence.valid, _COARSER * evidence.cutoff)
     same, doubt = estimated(coarser)

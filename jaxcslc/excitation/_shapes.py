@@ -100,9 +100,10 @@ def compiled_geometry(robot: Manipulator, surroundings: Surroundings) -> Geometr
         words = f"{'a ceiling' if hanging else 'a floor'} at z = {floor:.4g} m{words}"
     else:
         words = "the floor of the robot's file" * base.has_plane
-    centres: list[np.ndarray] = []
-    for placement, link in zip(placements, robot.links or (), strict=False):
-        centres.append((np.linalg.inv(placement) @ [*link.centre_of_gravity, 1.0])[:3])
+    centres = [
+        (np.linalg.inv(placement) @ [*link.centre_of_gravity, 1.0])[:3]
+        for placement, link in zip(placements, robot.links or (), strict=False)
+    ]
     skeleton = _Skeleton.of(model, joints, centres, floor)
     radii = skeleton.radii(surroundings.radius)
     notes += skeleton.add_capsules(spec, radii)

@@ -574,9 +574,9 @@ class Manipulator:
 
     def named_lengths(self) -> dict[str, Length]:
         """Return every length that is not zero, by the name that symbolic expressions use."""
-        named: dict[str, Length] = {}
-        for i, joint in enumerate(self.joints, start=1):
-            for letter, shift, length in joint.lengths:
-                if not length.is_zero:
-                    named[length.symbol or f"{letter}{i + shift}"] = length
-        return named
+        return {
+            length.symbol or f"{letter}{i + shift}": length
+            for i, joint in enumerate(self.joints, start=1)
+            for letter, shift, length in joint.lengths
+            if not length.is_zero
+        }

@@ -194,9 +194,13 @@ def epoch(
         assessed,
         (weights, assessed.rates.at[assessed.turn.rule].set(rates), assessed.epoch + 1),
     )
-    next_state = jax.tree.map(lambda old, new: jnp.where(assessed.done, old, new), assessed, moved)
     # A training that had ended before keeps everything as it was.
-    next_state = jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, next_state)
+    next_state = jax.tree.map(
+        lambda before, now, new: jnp.where(state.done, before, jnp.where(assessed.done, now, new)),
+        state,
+        assessed,
+        moved,
+    )
     at_rest = next_state.rates[next_state.turn.rule]
     record = History(
         cost=cost,

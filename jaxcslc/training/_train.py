@@ -65,13 +65,12 @@ class Checkpoint:
     def save(self, state: TrainingState, records: list[History], passed: int) -> None:
         """Replace the file."""
         content: dict[str, Any] = {"fingerprint": self.fingerprint, "epochs": passed}
-        for number, leaf in enumerate(jax.tree.leaves(state)):
-            content[f"state_{number}"] = _plain(leaf)
+        leaves = enumerate(jax.tree.leaves(state))
+        content |= {f"state_{number}": _plain(leaf) for number, leaf in leaves}
         axis = state.cost.ndim
         whole = jax.tree.map(lambda *parts: np.concatenate(parts, axis=axis), *records)
-        for name in History.__annotations__:
-            if (value := getattr(whole, name)) is not None:
-                content[f"record_{name}"] = value
+        kept = {name: getattr(whole, name) for name in History.__annotations__}
+        content |= {f"record_{name}": x for name, x in kept.items() if x is not None}
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with unfinished(self.path) as path, path.open("wb") as file:
             np.savez(file, **content)
