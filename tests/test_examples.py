@@ -14,13 +14,14 @@ from jaxcslc.cli._example import next_commands
 from tests.conftest import run
 
 
-def assert_truth_is_found(folder: Path) -> None:
-    """Intervals of 95 % of `results` hold at least nine of ten true coefficients."""
+def assert_truth_is_found(folder: Path) -> list[bool]:
+    """Intervals of 95 % of `results` hold at least nine of ten true coefficients; return which."""
     truth = json.loads((folder / "truth.json").read_text())["coefficients"]
     with (folder / "results" / "coefficients.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["name"] in truth]
     inside = [float(row["low"]) <= truth[row["name"]] <= float(row["high"]) for row in rows]
     assert len(inside) > 30 and np.mean(inside) > 0.9
+    return inside
 
 
 @pytest.fixture(scope="module", params=jc.examples.ARMS)

@@ -127,7 +127,9 @@ def test_the_commands_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.Monk
         printed += result.output.splitlines()
     assert "mass value" in Path("arm_identified.urdf").read_text()
     assert Path("arm.c").exists() and Path("panda/results/index.html").exists()
-    assert_truth_is_found(tmp_path / "panda")
+    inside = assert_truth_is_found(tmp_path / "panda")
+    assert all(inside), "the README says so"
+    assert f"all {len(inside)} intervals" in (ROOT / "README.md").read_text("utf-8")
     (shown,) = re.findall(r"```text\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL)
     assert [line for line in shown.splitlines() if not is_shown(line, printed)] == []
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from textwrap import fill
 from typing import Any, Literal
@@ -539,13 +539,11 @@ def coefficient_text(rows: list[dict[str, str | float | bool]]) -> str:
     hidden = ("group", "positive", "relative_error", "variance_inflation", "reason")
     shown = [name for name in rows[0] if name not in hidden]
     longest = _LONGEST_BESIDE_VALUE if "value" in rows[0] else _LONGEST_EXPRESSION
-    cells = [
-        [
-            _cell(readable(str(row[x])), longest) if x == "expression" else _cell(row[x])
-            for x in shown
-        ]
-        for row in rows
-    ]
+    form: dict[str, Callable[[Any], str]] = {
+        "expression": lambda text: _cell(readable(text), longest),
+        "from_file": lambda share: f"{100 * share:.0f} %",
+    }
+    cells = [[form.get(name, _cell)(row[name]) for name in shown] for row in rows]
     header = [_HEADERS.get(name, name) for name in shown]
     table = text_table(header, cells, left=("unit", "verdict", "expression"))
     doubtful = [row for row in rows if row.get("verdict", "") not in ("", *WELL_DETERMINED)]

@@ -295,7 +295,8 @@ class HeldOutSection(AbstractSection):
             )
         else:
             yield Message(
-                f"Held-out data ({motion}): errors are as small as on fitted data.", "good"
+                f"Held-out data ({motion}): errors are as small as on fitted data. No overfitting.",
+                "good",
             )
 
     @staticmethod
