@@ -207,7 +207,8 @@ def possible_faults(
     if not np.isfinite(shown):
         within[SHOWN_SCALE] = "nothing"
     elif shown > _CONFIRMED_SCALE:
-        within[SHOWN_SCALE] = f"± {100 * shown:.2g} %"
+        rounded = float(f"{100 * shown:.2g}")
+        within[SHOWN_SCALE] = f"± {rounded:g} %"
     return PossibleFaults(parts, within)
 
 

@@ -139,19 +139,16 @@ def _scale_statement(systematic: SystematicError | None) -> str:
     """Return a sentence on an error of the torque scale, if only a tolerance bounds it.
 
     >>> within = {"torque scale": "± 6 %", "torque scale shown": "± 40 %"}
-    >>> _scale_statement(SystematicError({}, within)).partition(": ")[2]
-    "the masses of the robot's file would show an error only beyond ± 40 %."
+    >>> _scale_statement(SystematicError({}, within)).partition(". ")[2]
+    "The masses in the robot's file would reveal only errors above 40 %."
     """
     shown = None if systematic is None else systematic.within.get(SHOWN_SCALE)
     if systematic is None or shown is None:
         return ""
-    return (
-        f" The intervals take the torque scale as right to {systematic.within[TORQUE_SCALE]}: "
-        + (
-            "nothing would show a larger error."
-            if shown == "nothing"
-            else f"the masses of the robot's file would show an error only beyond {shown}."
-        )
+    return f" Intervals allow for a torque scale error of {systematic.within[TORQUE_SCALE]}. " + (
+        "Nothing would reveal a larger one."
+        if shown == "nothing"
+        else f"The masses in the robot's file would reveal only errors above {shown[2:]}."
     )
 
 
