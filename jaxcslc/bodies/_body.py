@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..derivation import BODY, Algebra, Coefficient, InertialTerm, constant_values
-from ..manipulator import LinkInertia, LinkParameters
+from ..manipulator import TENSOR_ENTRIES, LinkInertia, LinkParameters
 
 
 _ENTRY = {name: index for index, name in enumerate(BODY)}
@@ -27,12 +27,8 @@ _ROUNDING = 1e-9
 
 def body_of(link: LinkParameters) -> Float[np.ndarray, "10"]:
     """Return the ten numbers of `BODY`: what a rigid body's dynamics are linear in."""
-    mass, centre = float(link.mass), np.asarray(link.centre_of_gravity, float)
-    tensor = np.asarray(link.inertia, float) + mass * (
-        centre @ centre * np.eye(3) - np.outer(centre, centre)
-    )
-    off = [tensor[a, b] for a, b in _PAIRS]
-    return np.array([*np.diag(tensor), *off, *(mass * centre), mass])
+    tensor, moment = np.asarray(link.inertia_at_frame, float), np.asarray(link.first_moment, float)
+    return np.array([*(tensor[entry] for entry in TENSOR_ENTRIES), *moment, float(link.mass)])
 
 
 def link_of(body: Float[np.ndarray, "10"], motor_inertia: float = 0.0) -> LinkParameters:

@@ -8,6 +8,7 @@ to a fit.
 import dataclasses
 from collections.abc import Mapping
 from functools import cached_property
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from ..network import CSLC
 from ..recordings import Patterns
 from ._body import MASS, body_map, body_of_pseudo_inertia, pseudo_inertia
 from ._misfit import misfit_of
-from ._nearest_bodies import Confidence, balls, ends_of, prior_of
+from ._nearest_bodies import Confidence, balls, ends_of, prior_of, reach_of
 from ._physical_parameters import body_names
 from ._prior import KnownRows, information_rows, with_knowledge
 
@@ -118,7 +119,7 @@ class FilePrior:
             return None
         usual = float(np.median(masses[masses > 0.0]))
         massless = masses < _MASSLESS * usual
-        reach = sum(abs(x.value or 0.0) for joint in robot.joints for _, _, x in joint.lengths)
+        reach = reach_of(robot)
         lenders = balls(robot, usual)
         links = [
             lender if missing else link
@@ -153,9 +154,7 @@ class FilePrior:
             known,
             widths,
             names,
-            tuple(name for name, missing in zip(names, massless, strict=True) if missing),
-            tuple(name for name, some in zip(names, invented, strict=True) if some),
-            tuple(name for name, some in zip(names, implausible, strict=True) if some),
+            *(tuple(compress(names, some)) for some in (massless, invented, implausible)),
         )
 
     def scaled(self, factor: float) -> "FilePrior":
@@ -300,8 +299,7 @@ class FilePrior:
             prior = dataclasses.replace(prior, widths=np.minimum(wider, _WIDEST))
             if np.all(prior.widths[far > _FAR] >= _WIDEST):
                 break
-        names = tuple(name for name, some in zip(self.names, named, strict=True) if some)
-        return prior, names
+        return prior, tuple(compress(self.names, named))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from .._environment import require
 from .._rank import numerical_rank
-from ..manipulator import Joint, LinkParameters, Manipulator
+from ..manipulator import LinkParameters, Manipulator, steps_at_zero
 from ..network import CSLC
 from ._body import (
     ENTRIES,
@@ -63,10 +63,7 @@ def whitening(
     if not np.all(np.isfinite(covariance)) or not np.all(np.isfinite(np.asarray(fit.k))):
         raise ValueError("the fit's coefficients or covariance are not finite")
     units = np.sqrt(np.maximum(np.diag(covariance), 0.0)) + FINEST * sizes
-    free = free[np.linalg.norm(free, axis=1) > 0] / units
-    if free.size:
-        free = free / np.linalg.norm(free, axis=1, keepdims=True)
-        free = np.linalg.svd(free, full_matrices=False)[2][: numerical_rank(free.T)]
+    free = _basis(free, units)
     scaled = covariance / np.outer(units, units)
     scaled = (scaled + scaled.T) / 2 + np.diag((FINEST * sizes / units) ** 2)
     # Numbers that changes along undetermined combinations leave as they are. The covariance's range
@@ -78,6 +75,17 @@ def whitening(
     # Of a motion that is all rounding, variances are too, and may be below zero.
     values = np.maximum(values, np.finfo(float).eps * len(values) * values[-1:])
     return (vectors.T / np.sqrt(values)[:, None]) @ numbers / units
+
+
+def _basis(
+    rows: Float[np.ndarray, "rows unknowns"], units: Float[np.ndarray, " unknowns"]
+) -> Float[np.ndarray, "rank unknowns"]:
+    """Return orthonormal rows that span given ones, in units of the unknowns."""
+    rows = rows[np.linalg.norm(rows, axis=1) > 0] / units
+    if not rows.size:
+        return rows
+    rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.linalg.svd(rows, full_matrices=False)[2][: numerical_rank(rows.T)]
 
 
 # Entries of a symmetric matrix above its diagonal, column by column, and how a cone scales them so
@@ -311,10 +319,8 @@ def _ball(
     """
     error = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / _SIZES
     scaled = body / _SIZES / (1.0 + error**2)
-    open_ = undetermined[np.linalg.norm(undetermined, axis=1) > 0] / _SIZES
-    if open_.size:
-        basis = np.linalg.svd(open_, full_matrices=False)[2][: numerical_rank(open_.T)]
-        scaled = scaled - basis.T @ (basis @ scaled)
+    basis = _basis(undetermined, _SIZES)
+    scaled = scaled - basis.T @ (basis @ scaled)
     moment = _SIZES[MOMENT] * scaled[MOMENT]
     mass = max(
         float(_SIZES[MASS] * scaled[MASS]),
@@ -349,14 +355,17 @@ class PriorBodies:
     motor_scales: Float[np.ndarray, " links"]
 
 
+def reach_of(robot: Manipulator) -> float:
+    """Return the sum of a robot's lengths [m]."""
+    return sum(abs(length.value or 0.0) for joint in robot.joints for _, _, length in joint.lengths)
+
+
 def balls(robot: Manipulator, mass: float) -> tuple[LinkParameters, ...]:
     """Solid balls of equal mass, one a link, half way to where the next joint is.
 
     The assumption for a robot of which only the lengths are known.
     """
-    reach = sum(
-        abs(length.value or 0.0) for joint in robot.joints for _, _, length in joint.lengths
-    )
+    reach = reach_of(robot)
     links: list[LinkParameters] = []
     for inertia, end in zip(robot.inertia, _ends(robot), strict=True):
         radius = max(float(np.linalg.norm(end)) / 2, _SMALLEST_PART * reach, _SMALLEST_RADIUS)
@@ -373,8 +382,8 @@ def ends_of(robot: Manipulator) -> Float[np.ndarray, " links"]:
 
 def _ends(robot: Manipulator) -> Float[np.ndarray, "links 3"]:
     ends = np.zeros((robot.joint_count, 3))
-    for child, parent in enumerate(robot.parents):
-        origin = _origin(robot.joints[child])
+    origins = steps_at_zero(robot.joints)[:, :3, 3]
+    for origin, parent in zip(origins, robot.parents, strict=True):
         if parent >= 0 and np.linalg.norm(origin) > np.linalg.norm(ends[parent]):
             ends[parent] = origin
     return ends
@@ -440,15 +449,6 @@ def _possible_principal(
     some = _FILL * mass / lender[MASS] * np.diag(pseudo_inertia(lender))[:3]
     spread = np.maximum(spread, _FILL * np.maximum(np.max(spread), some))
     return principal_body(mass, centre, spread)
-
-
-def _origin(joint: Joint) -> Float[np.ndarray, "3"]:
-    """Compute the origin of a joint's frame in the frame of the link that carries it [m]."""
-    a, d, b = (length.value or 0.0 for length in (joint.a, joint.d, joint.b))
-    across = np.array([a, -math.sin(joint.alpha) * d, math.cos(joint.alpha) * d])
-    c, s = math.cos(joint.gamma), math.sin(joint.gamma)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return turn @ across + np.array([0.0, 0.0, b])
 
 
 class Confidence(NamedTuple):

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .._environment import require
-from ..least_squares import torque_of
+from ..least_squares import masked_rms, torque_of
 from ..manipulator import TENSOR_ENTRIES, LinkParameters, Manipulator, seen_from
 from ..network import CSLC
 from ..recordings import Patterns
@@ -355,10 +355,7 @@ def _torque_distance(
     """Root mean square torque of a change of coefficients over the patterns of the mask."""
     if patterns is None:
         return np.full(network.joint_count, np.nan)
-    torque = torque_of(network, patterns, change)
-    counts = np.asarray(patterns.mask)
-    total = np.sum(np.where(counts, torque, 0.0) ** 2, axis=0)
-    return np.sqrt(total / np.maximum(np.sum(counts, axis=0), 1))
+    return masked_rms(torque_of(network, patterns, change), np.asarray(patterns.mask))
 
 
 def _row(link: LinkParameters) -> dict[str, float]:

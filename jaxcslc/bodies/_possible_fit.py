@@ -7,8 +7,6 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -253,7 +251,7 @@ class PossibleFit:
         """
         if not self.used:
             return self.free
-        return eqx.tree_at(lambda fit: fit.k, self.free, jnp.asarray(self.parameters.k))
+        return self.free.with_k(self.parameters.k)
 
     @property
     def other_coefficients(self) -> dict[str, Float[Array | np.ndarray, " coefficients"]]:

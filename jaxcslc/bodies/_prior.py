@@ -74,6 +74,11 @@ class Known:
         """True if the number is a value without error."""
         return self.value is not None and self.error == 0.0
 
+    @property
+    def is_value(self) -> bool:
+        """True if there is a value and no bound."""
+        return self.value is not None and self._bounds == ""
+
     def document(self) -> dict[str, float]:
         """Return the entries that are set, as plain data."""
         entries = {"value": self.value, "low": self.low, "high": self.high}

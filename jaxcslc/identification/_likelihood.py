@@ -10,7 +10,6 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -20,7 +19,6 @@ from ..bodies import (
     ChosenPrior,
     InformedFit,
     JudgedPart,
-    Known,
     PossibleFit,
     Prior,
     fixed_bodies,
@@ -29,7 +27,7 @@ from ..bodies import (
     with_knowledge,
 )
 from ..friction import SlopeFit, along_motion, state_at
-from ..least_squares import Identification, Settings, computed_on_host
+from ..least_squares import Identification, Settings, computed_on_host, masked_rms
 from ..likelihood import (
     Estimator,
     EstimatorComparison,
@@ -228,10 +226,7 @@ def _may_have_bodies(request: Request) -> bool:
 def _with_bodies(request: Request, options: MaximumLikelihood) -> MaximumLikelihood:
     """Options whose search has physically consistent bodies if they are used anyway."""
     prior = request.prior or options.prior or Prior()
-    bounds = any(
-        entry.value is None or entry.low > -np.inf or entry.high < np.inf
-        for entry in prior.coefficients.values()
-    )
+    bounds = any(not entry.is_value for entry in prior.coefficients.values())
     if bounds or not (request.possible == "always" or prior.links):
         return options
     return dataclasses.replace(options, possible=True, prior=prior)
@@ -446,19 +441,14 @@ def _informed(problem: Problem, fit: Identification, network: CSLC) -> Identific
     """A fit of maximum likelihood with what is known, unless its search knew it."""
     if problem.request.likelihood_options.prior is not None:
         return fit
-    return problem.informed(fit, _known_values(problem, network))
+    return problem.informed(fit, problem.known_of(network))
 
 
 def _known(problem: Problem, fit: Identification, network: CSLC) -> Identification:
     """The same without the robot's file as prior."""
     if problem.request.likelihood_options.prior is not None:
         return fit
-    return with_knowledge(fit, _known_values(problem, network))
-
-
-def _known_values(problem: Problem, network: CSLC) -> Mapping[int, Known]:
-    prior = problem.request.prior
-    return {} if prior is None else prior.coefficient_values(network)
+    return with_knowledge(fit, problem.known_of(network))
 
 
 def _predicted(
@@ -492,8 +482,7 @@ def _possible(problem: Problem, network: CSLC, fit: Identification, weight: floa
 
 def _with_k(fit: Fit, k: np.ndarray) -> Fit:
     """A fit with other coefficients."""
-    changed = eqx.tree_at(lambda some: some.k, fit.identification, jnp.asarray(k))
-    return dataclasses.replace(fit, identification=changed)
+    return dataclasses.replace(fit, identification=fit.identification.with_k(k))
 
 
 def _misfit(
@@ -567,8 +556,8 @@ def _comparison(
     everything = np.ones_like(mask)
     return EstimatorComparison(
         _SOURCE,
-        MappingProxyType({name: _rms(values, mask) for name, values in errors.items()}),
-        MappingProxyType({name: _rms(values, everything) for name, values in errors.items()}),
+        MappingProxyType({name: masked_rms(values, mask) for name, values in errors.items()}),
+        MappingProxyType({name: masked_rms(values, everything) for name, values in errors.items()}),
         relative,
         "maximum-likelihood" if better else "least-squares",
         ours.source,
@@ -581,11 +570,6 @@ def _error(unfitted: _Unfitted, fit: Fit) -> Float[np.ndarray, "samples joints"]
     patterns = unfitted.patterns
     along = along_motion(fit.network, patterns, fit.presliding_distance, unfitted.contact)
     return np.asarray(patterns.torque) - predicted_torque(along, patterns, np.asarray(fit.k))
-
-
-def _rms(error: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    counts = np.maximum(mask.sum(axis=0), 1)
-    return np.sqrt(np.sum(np.where(mask, error, 0.0) ** 2, axis=0) / counts)
 
 
 def _systematic(

@@ -189,8 +189,12 @@ class Problem:
     @cached_property
     def known(self) -> Mapping[int, Known]:
         """Coefficients of `network` that are known beforehand, by index."""
+        return self.known_of(self.network)
+
+    def known_of(self, network: CSLC) -> Mapping[int, Known]:
+        """Return the coefficients of a network of the same robot that are known beforehand."""
         prior = self.request.prior
-        return {} if prior is None else prior.coefficient_values(self.network)
+        return {} if prior is None else prior.coefficient_values(network)
 
     @cached_property
     def on_time(self) -> Mapping[str, Recording]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -66,7 +67,7 @@ class TorqueConstants:
         """Joints whose constant the recordings do not tell from zero."""
         low, high = self.confidence_interval().T
         unclear = ~(np.isfinite(low) & np.isfinite(high)) | ((low <= 0.0) & (high >= 0.0))
-        return tuple(name for name, u in zip(self.joint_names, unclear, strict=True) if u)
+        return tuple(compress(self.joint_names, unclear))
 
     def rows(self, level: float = 0.95) -> list[dict[str, Any]]:
         """Return one row per joint: constant, standard error and interval."""

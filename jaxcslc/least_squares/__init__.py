@@ -36,9 +36,11 @@ from ._cluster import (
 )
 from ._columns import (
     HostColumns as HostColumns,
+    check_joints as check_joints,
     columns_of as columns_of,
     computed_on_host as computed_on_host,
     friction_averaged_at_rest as friction_averaged_at_rest,
+    masked_rms as masked_rms,
     regressor_of as regressor_of,
     rows_of as rows_of,
     torque_by as torque_by,

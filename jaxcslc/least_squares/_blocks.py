@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from .._environment import core_count, platform_of
 from ..network import AbstractLinearNetwork
 from ..recordings import Patterns
-from ._columns import LONG
+from ._columns import LONG, check_joints
 from ._equations import equations_of
 from ._factors import JointFactors, joined_factors
 from ._gpu_kernel import GramKernel
@@ -227,10 +227,7 @@ def _regular(
     stretches: list[tuple[np.ndarray, ...]] = []
     size = 0
     for chunk in chunks:
-        if chunk.joints != network.joint_count:
-            raise ValueError(
-                f"patterns have {chunk.joints} joints, {network.name!r} has {network.joint_count}"
-            )
+        check_joints(network, chunk)
         motion = (chunk.q, chunk.qd, chunk.qdd, chunk.torque)
         arrays = [np.asarray(x) for x in (*motion, chunk.backlash_mask, chunk.friction_mask)]
         start, samples = 0, len(arrays[0])

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._environment import array_namespace
 from .._processes import over_chunks
@@ -92,6 +92,22 @@ def torque_by(
     """Return the torque (samples, n) that coefficients predict from the columns of all joints."""
     torque = [k[np.array(some, int)] @ rows for some, rows in zip(support, columns, strict=True)]
     return array_namespace(*torque).stack(torque, axis=1)
+
+
+def check_joints(network: AbstractLinearNetwork, patterns: Patterns) -> None:
+    """**Raises** `ValueError` for patterns of another number of joints."""
+    if patterns.joints != network.joint_count:
+        raise ValueError(
+            f"patterns have {patterns.joints} joints, {network.name!r} has {network.joint_count}"
+        )
+
+
+def masked_rms(
+    values: Float[np.ndarray, "samples joints"], mask: Bool[np.ndarray, "samples joints"]
+) -> Float[np.ndarray, " joints"]:
+    """Return the root mean square of each joint over the samples of a mask; 0 without any."""
+    squares = np.sum(np.where(mask, values, 0.0) ** 2, axis=0)
+    return np.sqrt(squares / np.maximum(mask.sum(axis=0), 1))
 
 
 def rows_of(patterns: Patterns, rows: slice) -> Patterns:

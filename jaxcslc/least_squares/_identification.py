@@ -7,6 +7,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import scipy
 from jax.core import Tracer
@@ -246,12 +247,22 @@ class Identification(eqx.Module):
 
         - `ValueError`: a level that is not between 0 and 1.
         """
+        return self.interval_of(self.k, self.standard_error, level)
+
+    def interval_of(self, value: Any, error: Any, level: float) -> Float[np.ndarray, "values 2"]:
+        """Return intervals of values whose standard errors have this fit's degrees of freedom.
+
+        **Raises** `ValueError` as `confidence_interval`.
+        """
         if not 0.0 < level < 1.0:
             raise ValueError(f"level is {level}; expected more than 0 and less than 1")
         quantile = float(scipy.special.stdtrit(float(self.degrees_of_freedom), 0.5 + 0.5 * level))
-        half = quantile * np.asarray(self.standard_error)
-        k = np.asarray(self.k)
-        return np.stack([k - half, k + half], axis=-1)
+        half = quantile * np.asarray(error)
+        return np.stack([np.asarray(value) - half, np.asarray(value) + half], axis=-1)
+
+    def with_k(self, k: Float[Array | np.ndarray, " coefficients"]) -> "Identification":
+        """Return the fit with other coefficients; errors and residuals stay as they are."""
+        return eqx.tree_at(lambda fit: fit.k, self, jnp.asarray(k))
 
     def to_pandas(self, level: float = 0.95) -> Any:
         """Return a `pandas.DataFrame`, one row per coefficient: value, standard error, interval.

@@ -26,7 +26,7 @@ from ._blocks import (
     factors_of_blocks,
     residual_sums_of_blocks,
 )
-from ._columns import HostColumns, columns_of, rows_of, torque_by, traced, untraced
+from ._columns import HostColumns, check_joints, columns_of, rows_of, torque_by, traced, untraced
 from ._equations import Equations, equations_of, samples_of, unknowns_of
 from ._errors import ERRORS, Errors, Rows, correlated_errors, independent_errors
 from ._factors import JointFactors, Unknowns
@@ -57,10 +57,7 @@ def check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
 
 def check_patterns(network: AbstractLinearNetwork, patterns: Patterns) -> None:
     """**Raises** `ValueError` for patterns of another size, and for others than float64."""
-    if patterns.joints != network.joint_count:
-        raise ValueError(
-            f"patterns have {patterns.joints} joints, {network.name!r} has {network.joint_count}"
-        )
+    check_joints(network, patterns)
     if patterns.q.shape[-1] != network.motion_count:
         raise ValueError(
             f"patterns have {patterns.q.shape[-1]} columns of motion, {network.name!r} has"
@@ -523,6 +520,7 @@ def _robust_roots(error: Float[np.ndarray, " equations"], loss: Loss) -> Float[n
     return np.sqrt(weight(loss, error / (scale or 1.0)))
 
 
+_STEPS = 30  # fits, at most
 _PART = 1e-3  # of a standard error: a step that moves no coefficient further is the last
 _ROUNDING = 1e-10  # of the largest coefficient: the same, of a fit without noise
 
@@ -530,15 +528,13 @@ _ROUNDING = 1e-10  # of the largest coefficient: the same, of a fit without nois
 def gauss_newton(
     fitted: Callable[[Float[np.ndarray, " coefficients"]], Identification],
     start: Float[np.ndarray, " coefficients"],
-    steps: int = 30,
 ) -> Identification:
     """Return the last of the fits that start from each other's coefficients.
 
     - `fitted`: the fit of the equations that are linear about some coefficients.
-    - `steps`: at most.
     """
     fit = fitted(start)
-    for _ in range(steps - 1):
+    for _ in range(_STEPS - 1):
         if settled(fit, start, _PART):
             break
         start = np.asarray(fit.k)

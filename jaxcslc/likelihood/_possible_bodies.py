@@ -3,8 +3,6 @@
 import dataclasses
 from collections.abc import Callable
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -188,7 +186,7 @@ def possible_bodies(
     while True:
         profile = Profile.of(minimum, problem.scale)
         fit = likelihood_fit(network, profile.minimum, "independent")
-        bodies = bodies_nearest_to(_with_coefficients(fit.fit, profile.target), weight)
+        bodies = bodies_nearest_to(fit.fit.with_k(profile.target), weight)
         change = bodies.k - profile.k
         error = np.where(np.asarray(fit.fit.determined), np.asarray(fit.fit.standard_error), np.inf)
         settled = bool(np.all(np.abs(change) <= _SETTLED * error))
@@ -197,21 +195,15 @@ def possible_bodies(
         minimum, part, of_trials = profile.towards(change, part, search_with)
         steps, rounds = steps + of_trials, rounds + 1
     if not settled:
-        bodies = bodies_nearest_to(_with_coefficients(fit.fit, profile.k), weight)
+        bodies = bodies_nearest_to(fit.fit.with_k(profile.k), weight)
     if errors != "independent":
         fit = likelihood_fit(network, profile.minimum, errors)
     return dataclasses.replace(
         fit,
-        fit=_with_coefficients(fit.fit, bodies.k),
+        fit=fit.fit.with_k(bodies.k),
         steps=steps,
         converged=settled and minimum.converged,
         bodies=bodies,
         free=free.fit,
         **{name: getattr(free, name) for name in SPACED},
     )
-
-
-def _with_coefficients(
-    fit: Identification, k: Float[np.ndarray, " coefficients"]
-) -> Identification:
-    return eqx.tree_at(lambda fit: fit.k, fit, jnp.asarray(k))

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from ..bodies import Known, Prior
 from ..friction import checked_distance
-from ..least_squares import Identification, Settings, regressor_of, torque_of
+from ..least_squares import Identification, Settings, masked_rms, regressor_of, torque_of
 from ..network import CSLC
 from ..recordings import Patterns, Recording, Sampling
 from ..uncertainty import fit_recordings
@@ -164,7 +164,7 @@ def check_prior(prior: Prior | None, *, possible: bool) -> None:
             " parameters (possible)"
         )
     for name, entry in entries.items():
-        if entry.value is None or entry.low > -np.inf or entry.high < np.inf:
+        if not entry.is_value:
             raise ValueError(f"prior, {name}: maximum likelihood takes values, got bounds")
 
 
@@ -304,9 +304,7 @@ def _regression(
 def _residual(network: CSLC, patterns: Patterns, fit: Identification) -> Joints:
     """Return (n,) RMS residual of a recording."""
     error = np.asarray(patterns.torque) - torque_of(network, patterns, fit.k)
-    mask = np.asarray(patterns.mask)
-    squares = np.sum(np.where(mask, error, 0.0) ** 2, axis=0)
-    return np.sqrt(squares / np.maximum(mask.sum(axis=0), 1))
+    return masked_rms(error, np.asarray(patterns.mask))
 
 
 def _rests(

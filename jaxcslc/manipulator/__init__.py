@@ -47,9 +47,11 @@ from ._manipulator import (
 )
 from ._placement import (
     Axis as Axis,
+    LinkPoses as LinkPoses,
     joint_lines as joint_lines,
     link_poses as link_poses,
     modified_dh as modified_dh,
+    steps_at_zero as steps_at_zero,
 )
 from .files import (
     START_TAG as START_TAG,

@@ -6,6 +6,7 @@ URDF and MJCF files need this; see `files._load`.
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -192,16 +193,71 @@ def link_poses(
     >>> np.round(link_poses(arm, np.array([np.pi / 2, 0.0]))[1, :3, 3], 6).tolist()
     [0.0, 0.5, 0.0]
     """
-    robot.length_values()  # says which has none
-    xp = array_namespace(q)
-    poses: list[Any] = []
-    for i, (joint, parent) in enumerate(zip(robot.joints, robot.parents, strict=True)):
-        a, d, b = (float(length.value or 0.0) for _, _, length in joint.lengths)
-        turn, slide = (q[..., i], 0.0) if joint.kind == "R" else (0.0 * q[..., i], q[..., i])
-        fixed = _screw(np, 2, np.array(joint.gamma), b) @ _screw(np, 0, np.array(joint.alpha), a)
-        step = xp.asarray(fixed, q.dtype) @ _screw(xp, 2, joint.theta + turn, d + slide)
-        poses.append(step if parent < 0 else poses[parent] @ step)
-    return xp.stack(poses, axis=-3)
+    return LinkPoses.of(robot)(q)
+
+
+@dataclass(frozen=True, eq=False)
+class LinkPoses:
+    """Poses of a robot's links, as `link_poses`, for many calls.
+
+    Each link's pose in the frame that carries it is linear in the cosine and the sine of its
+    joint's angle, or in its joint's way: all of them are formed at once.
+
+    **Attributes**
+
+    - `parts`: of these poses: a constant, and what multiplies cosine, sine and way.
+    - `parents`: the link that carries each, -1 for the base.
+    - `has_slides`: whether a joint is prismatic.
+    """
+
+    parts: Float[np.ndarray, "4 joints 4 4"]
+    parents: tuple[int, ...]
+    has_slides: bool
+
+    @classmethod
+    def of(cls, robot: "Manipulator") -> "LinkPoses":
+        """Return the poses of a robot.
+
+        **Raises** `RobotError`: a length without value.
+        """
+        robot.length_values()  # says which has none
+        parts = np.zeros((4, robot.joint_count, 4, 4))
+        fixed, cosine, sine, slide = parts
+        fixed[:] = steps_at_zero(robot.joints)
+        turns = np.array([kind == "R" for kind in robot.kinds])
+        slide[~turns, :, 3] = fixed[~turns, :, 2]
+        x, y = fixed[turns, :, 0], fixed[turns, :, 1]
+        cosine[turns, :, 0], cosine[turns, :, 1] = x, y
+        sine[turns, :, 0], sine[turns, :, 1] = y, -x
+        fixed[turns, :, :2] = 0.0
+        return cls(parts, robot.parents, not bool(np.all(turns)))
+
+    def __call__(self, q: Float[Numbers, "*batch joints"]) -> Float[Numbers, "*batch joints 4 4"]:
+        xp, parts = array_namespace(q), self.parts
+        if xp is not np:  # JAX's settings can forbid other ranks
+            parts = xp.asarray(parts.reshape(4, *[1] * (q.ndim - 1), *parts.shape[1:]), q.dtype)
+        fixed, cosine, sine, slide = parts
+        q = q[..., None, None]
+        steps = fixed + cosine * xp.cos(q) + sine * xp.sin(q)
+        if self.has_slides:
+            steps = steps + slide * q
+        poses: list[Any] = []
+        for i, parent in enumerate(self.parents):
+            step = steps[..., i, :, :]
+            poses.append(step if parent < 0 else poses[parent] @ step)
+        return xp.stack(poses, axis=-3)
+
+
+def steps_at_zero(joints: tuple[Joint, ...]) -> Float[np.ndarray, "joints 4 4"]:
+    """Return each link's pose in the frame that carries it, at joint variable zero (Eqn. 2.6-1)."""
+    return np.array(
+        [
+            _screw(2, joint.gamma, joint.b.value or 0.0)
+            @ _screw(0, joint.alpha, joint.a.value or 0.0)
+            @ _screw(2, joint.theta, joint.d.value or 0.0)
+            for joint in joints
+        ]
+    )
 
 
 def joint_lines(
@@ -223,13 +279,11 @@ def joint_lines(
     return np.stack([starts, ends], axis=-2)
 
 
-def _screw(xp: Any, axis: int, angle: Any, along: Any) -> Any:
-    """Return poses (..., 4, 4) of a turn about an axis and a shift along it."""
-    c, s = xp.cos(angle), xp.sin(angle)
-    zero, one = xp.zeros_like(c), xp.ones_like(c)
-    rows = [[one if i == j else zero for j in range(4)] for i in range(4)]
+def _screw(axis: int, angle: float, along: float) -> Pose:
+    """Return the pose of a turn about an axis and a shift along it."""
     first, second = (axis + 1) % 3, (axis + 2) % 3
-    rows[first][first] = rows[second][second] = c
-    rows[first][second], rows[second][first] = -s, s
-    rows[axis][3] = along + zero
-    return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
+    pose = np.eye(4)
+    pose[first, first] = pose[second, second] = math.cos(angle)
+    pose[first, second], pose[second, first] = -math.sin(angle), math.sin(angle)
+    pose[axis, 3] = along
+    return pose

@@ -9,7 +9,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy
 from jaxtyping import Array, Bool, Float, Int
 
 from .._text_table import text_table
@@ -150,12 +149,7 @@ class PayloadFit(eqx.Module):
 
         **Raises** as `confidence_interval`.
         """
-        if not 0.0 < level < 1.0:
-            raise ValueError(f"level is {level}; expected more than 0 and less than 1")
-        quantile = scipy.special.stdtrit(float(self.fit.degrees_of_freedom), 0.5 + 0.5 * level)
-        half = float(quantile) * np.asarray(self.physical_error)
-        value = np.asarray(self.physical)
-        return np.stack([value - half, value + half], axis=-1)
+        return self.fit.interval_of(self.physical, self.physical_error, level)
 
     def rows(self, level: float = 0.95) -> list[dict[str, Any]]:
         """Return one row per entry of `physical`: name, unit, value, error, interval, possible.

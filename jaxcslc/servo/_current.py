@@ -13,10 +13,10 @@ import scipy
 from jaxtyping import Float
 
 from ._drive import ServoDrive
+from ._intervals import BLOCK
 from ._recording import ServoRecording
 
 
-_BLOCK = 2.0  # s, of residuals that count as independent
 _LEAST_EXPLAINED = 0.2  # part of the current's variance; less is no reading of this torque
 
 
@@ -77,7 +77,7 @@ def current_gains(
             torque = drive.gain * error - drive.damping * v[:, i]
             torques.append(np.clip(torque, -drive.torque_limit, drive.torque_limit))
             currents.append(recording.current[:, i])
-            blocks.append(1e6 * number + np.floor((time - time[0]) / _BLOCK))
+            blocks.append(1e6 * number + np.floor((time - time[0]) / BLOCK))
         if not given or np.ptp(np.concatenate(currents)) == 0.0:
             continue
         torque, current = np.concatenate(torques), np.concatenate(currents)

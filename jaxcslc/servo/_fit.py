@@ -33,13 +33,14 @@ from ._recording import ServoRecording
 from ._search import (
     MOVING,
     NAMES,
+    STALLED,
     UNKNOWNS,
     JointMotion,
     JointProblem,
 )
 from ._sensitivity import Coupling, lengths_of_steps, sensitivities
 from ._simulation import LONGEST_STEP, joint_loads, simulate, with_payload
-from ._start import Regression, starting_point
+from ._start import CORRELATION, Regression, starting_point
 
 
 ESTIMATED = (
@@ -58,19 +59,17 @@ ESTIMATED = (
 MASS_ERROR = 0.2
 """Relative standard error of a file's masses: printed parts and cables differ so much from CAD."""
 
-# The share of a gain's value from which on its error makes it useless: the 95 % interval spans a
-# factor of four.
-_VAGUE_GAIN = 0.35
-# Servos of one arm differ so much in gain: joints of one size have the same servos, others may not.
+# Servos of one arm differ by this part of their gain: joints of one size have the same servos,
+# others may not. A gain with a larger error, whose 95 % interval spans a factor of four, says less
+# than those of the other joints.
 _LIKE_GAINS = 0.35
 # Steps of the first search, and of derivatives.
 _COARSE_STEP, _DERIVATIVE_STEP = 4.0 * LONGEST_STEP, 2.0 * LONGEST_STEP
 # Iterations: of the first and second search for each joint alone, and of that for all together.
 _COARSE, _AGAIN, _TOGETHER = 20, 6, 25
 _DAMPINGS = (1e-3, 1e-1, 1.0)  # of Levenberg and Marquardt, tried one after the other
-_LITTLE, _STALLED = 1e-2, 2  # part of the cost; iterations that gain less and end the search
+_LITTLE = 1e-2  # part of the cost: `STALLED` iterations that gain less end the search
 _START_NOISE = 0.005  # rad, of residuals, before the first search
-_START_CORRELATION = 50.0  # samples that carry the information of one, likewise
 _SMOOTHING = 0.12  # s, window of the cubic polynomials that give accelerations of other joints
 _LEANING_TICKS, _LEANING_TIME, _LEANING_EXCESS = 2.5, 0.5, 1.3
 
@@ -353,7 +352,7 @@ class _Search:
         self.offsets, self.masses = start.offsets, start.masses
         self.base[:, NAMES.index("offset")] = start.offsets
         names = tuple(name for name in self.names if name != "offset")
-        weight = 1.0 / (_START_NOISE**2 * _START_CORRELATION)
+        weight = 1.0 / (_START_NOISE**2 * CORRELATION)
         self.problems = [
             JointProblem(names, self.base[i].copy(), motions, weight, _COARSE_STEP)
             for i, motions in enumerate(self.motions(self.offsets))
@@ -459,7 +458,7 @@ class _Search:
         random = [np.linalg.inv(p.information(x, self.masses))[at, at] for p, x in pairs]
         errors = self._gain_errors(random)
         weights = np.array(errors) ** -2.0
-        self.vague_gain = [error > _VAGUE_GAIN for error in errors]
+        self.vague_gain = [error > _LIKE_GAINS for error in errors]
         sure = ~np.array(self.vague_gain)
         common = float(np.average(gains[sure], weights=weights[sure])) if sure.any() else None
         prior = UNKNOWNS["gain"].start if common is None else common, _LIKE_GAINS
@@ -526,7 +525,7 @@ class _Search:
                     self.unknowns, self.masses, simulated = unknowns, masses, trial
                     break
             stalled = stalled + 1 if cost > (1.0 - _LITTLE) * before else 0
-            if stalled == _STALLED:
+            if stalled == STALLED:
                 break
         self._take_motions(simulated)
         self.misfits = self._misfits(simulated)
@@ -594,7 +593,7 @@ class _Search:
         if "gain" in self.names:
             starts = np.cumsum([0, *[len(x) for x in self.unknowns[:-1]]])
             variances = np.diag(stack.covariance)[starts + self.names.index("gain")]
-            self.vague_gain = [x > _VAGUE_GAIN for x in self._gain_errors(list(variances))]
+            self.vague_gain = [x > _LIKE_GAINS for x in self._gain_errors(list(variances))]
         parameters, covariance, refused = stack.parameters(
             self.problems, self.unknowns, rows, self.vague_gain, ratios_only
         )

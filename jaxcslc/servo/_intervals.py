@@ -21,7 +21,8 @@ from ._identifiability import ConfoundedParameters
 from ._search import NAMES, JointProblem
 
 
-_BLOCK = 2.0  # s: shortest blocks of residuals that count as independent
+BLOCK = 2.0
+"""Shortest blocks of residuals that count as independent [s]."""
 _BLOCKS = 100  # as many at most
 _DETERMINED = 0.5  # part of the prior's deviation up to which an error counts as the recordings'
 # Part of the residuals, beyond the encoders' rounding, that counts as an error of the model which
@@ -254,7 +255,7 @@ def information_per_sample(
 
 def _slices(problem: JointProblem) -> list[slice]:
     total = sum(float(motion.time[-1] - motion.time[0]) for motion in problem.motions)
-    block = max(_BLOCK, total / _BLOCKS)
+    block = max(BLOCK, total / _BLOCKS)
     slices: list[slice] = []
     start = 0
     for motion in problem.motions:

@@ -25,7 +25,7 @@ _LARGEST = 1.0  # change of an unknown in an iteration, in prior deviations
 _LEAST = {"armature": 1e-6}
 # The search ends after so many iterations that lower the cost by less than this part, each of
 # which halves the steps of the derivatives: friction makes the cost rough.
-_LITTLE, _STALLED = 1e-3, 2
+_LITTLE, STALLED = 1e-3, 2
 
 
 @dataclass(frozen=True)
@@ -273,7 +273,7 @@ class JointProblem:
                 damping *= 3.0
             if stalled:
                 shrink *= 0.5
-            if stalled > _STALLED:
+            if stalled > STALLED:
                 break
         return x
 

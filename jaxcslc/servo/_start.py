@@ -25,7 +25,8 @@ from ._simulation import inverse_dynamics, with_payload
 
 _DELAYS = np.arange(0.0, 0.121, 0.01)  # s, that are tried
 _MOST_SAMPLES = 6000  # of all recordings together; more cost time, and tell the start little
-_CORRELATION = 50.0  # samples that carry the information of one
+CORRELATION = 50.0
+"""Samples that carry the information of one, before residuals say."""
 _ITERATIONS, _ROUNDS = 4, 2  # of Gauss and Newton, after each choice of delays
 _STEP = 0.01  # of zero positions [rad] and of the logarithm of the scale, for derivatives
 _FEWEST = 20  # samples that slide; with fewer a joint starts from the table
@@ -161,7 +162,7 @@ class Regression:
             for i in joints:
                 rests = [np.mean(self.joint(i, load[:, i], d)[1] ** 2) for d in range(len(_DELAYS))]
                 delays[i] = int(np.argmin(rests))
-                sizes[i] = max(math.sqrt(min(rests) * _CORRELATION), 1e-9)
+                sizes[i] = max(math.sqrt(min(rests) * CORRELATION), 1e-9)
             for _ in range(_ITERATIONS):
                 z = self._moved(z, free, deviations, delays, sizes)
         load = self.loads(z[:-1], math.exp(z[-1]))

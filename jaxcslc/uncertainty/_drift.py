@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 
 from .._text_table import first_of
 from ..network import AbstractLinearNetwork
+from ._tolerances import LEVEL, QUANTILE
 
 
 # What a group of friction coefficients differs by between recordings, of their size, before
@@ -27,7 +28,6 @@ _USUAL_MISFIT = 0.5
 _SPREAD = 0.7
 # Drifts that are tried, in parts of the sizes above: from nothing to all there is.
 _TRIED = np.geomspace(1e-4, 1e2, 91)
-_LEVEL = 0.95
 # Drift is said to be there if recordings that have the same coefficients differ by as much once in
 # so many coefficients.
 _CHANCE = 0.01
@@ -182,14 +182,13 @@ def _allowance(
     """Return the deviation whose square, added to that of the error, gives the 95 % interval of a
     mixture of normal distributions."""
     deviation = np.sqrt(error[:, None] ** 2 + variance)
-    normal = float(scipy.special.ndtri(0.5 + 0.5 * _LEVEL))
-    low, high = np.zeros(len(error)), normal * np.max(deviation, axis=1)
+    low, high = np.zeros(len(error)), QUANTILE * np.max(deviation, axis=1)
     for _ in range(60):
         middle = 0.5 * (low + high)
         outside = 2.0 * scipy.special.ndtr(-middle[:, None] / deviation)
-        wide = np.sum(probability * outside, axis=1) < 1.0 - _LEVEL
+        wide = np.sum(probability * outside, axis=1) < 1.0 - LEVEL
         low, high = np.where(wide, low, middle), np.where(wide, middle, high)
-    return np.sqrt(np.maximum((high / normal) ** 2 - error**2, 0.0))
+    return np.sqrt(np.maximum((high / QUANTILE) ** 2 - error**2, 0.0))
 
 
 def _probability(

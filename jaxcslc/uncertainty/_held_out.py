@@ -12,6 +12,7 @@ from .._environment import require
 from ..least_squares import (
     Identification,
     Settings,
+    check_joints,
     columns_of,
     effective_counts,
     torque_by,
@@ -146,11 +147,7 @@ def held_out_error(
     """
     errors: list[np.ndarray] = []
     for patterns in (training, validation):
-        if patterns.joints != network.joint_count:
-            raise ValueError(
-                f"patterns have {patterns.joints} joints, {network.name!r} has"
-                f" {network.joint_count}"
-            )
+        check_joints(network, patterns)
         errors.append(np.asarray(patterns.torque) - torque_of(network, patterns, fit.k))
     masks = np.asarray(training.mask), np.asarray(validation.mask)
     return judged_errors(errors[0], masks[0], errors[1], masks[1], int(fit.rank), network=network)

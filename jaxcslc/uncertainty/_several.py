@@ -86,9 +86,7 @@ class RecordingEquations:
 
     def rms(self, fit: Identification) -> Float[np.ndarray, " joints"]:
         """RMS residual of each joint under a fit; zero of joints without equations."""
-        k = np.asarray(fit.k)
-        pairs = zip(self.equations.rows, self.equations.unknowns.support, strict=True)
-        residuals = [rows[:, -1] - rows[:, :-1] @ k[list(support)] for rows, support in pairs]
+        residuals = self.equations.errors(np.asarray(fit.k))
         squares = [float(np.mean(error**2)) if error.size else 0.0 for error in residuals]
         return np.sqrt(np.array(squares))
 

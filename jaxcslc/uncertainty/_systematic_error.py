@@ -9,7 +9,6 @@ from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
-import scipy
 from jaxtyping import Bool, Float, Int
 
 from ..least_squares import (
@@ -204,13 +203,9 @@ def uncertainty_interval(
     >>> uncertainty_interval(fit, systematic).round(2).tolist()
     [[0.48, 0.52], [0.2, 0.2]]
     """
-    interval = fit.confidence_interval(level)
     if systematic is None:
-        return interval
-    quantile = float(scipy.special.stdtrit(float(fit.degrees_of_freedom), 0.5 + 0.5 * level))
-    half = quantile * standard_uncertainty(fit, systematic)
-    k = np.asarray(fit.k)
-    return np.stack([k - half, k + half], axis=-1)
+        return fit.confidence_interval(level)
+    return fit.interval_of(fit.k, standard_uncertainty(fit, systematic), level)
 
 
 def systematic_error(

@@ -8,6 +8,7 @@ possible is a part of the systematic error.
 
 import dataclasses
 from collections.abc import Mapping
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
@@ -50,8 +51,10 @@ _GROSS, _GROSS_SIZE = 0.05, 20.0
 # A factor of the torques, less 1, that must be excluded by 95 % for the scale to be confirmed: a
 # standard uncertainty of 5 %, the most that a well determined coefficient may have of such errors.
 _CONFIRMED_SCALE = 0.1
-_LEVEL = 0.95
-_QUANTILE = 1.959963984540054  # of a normal distribution, of both sides together
+LEVEL = 0.95
+"""Probability of intervals."""
+QUANTILE = NormalDist().inv_cdf(0.5 + 0.5 * LEVEL)
+"""Half the width of a normal distribution's interval, in standard deviations."""
 # As many rows of a recording show its faults, in as many stretches, whose differences are noise.
 _ROWS, _STRETCHES = 2000, 20
 _STEP = 1e-4  # of finite differences [rad or m, or as a part]
@@ -114,7 +117,7 @@ def possible_size(limit: float, estimate: Estimate) -> float:
     def beyond(size: float) -> float:
         upper = scipy.special.ndtr((size - means) / deviations)
         lower = scipy.special.ndtr((-size - means) / deviations)
-        return float(shares @ (upper - lower)) - _LEVEL
+        return float(shares @ (upper - lower)) - LEVEL
 
     largest = float(np.max(np.abs(means) + 10.0 * deviations))
     return float(scipy.optimize.brentq(beyond, 0.0, largest, xtol=1e-6 * largest))
@@ -189,7 +192,7 @@ def possible_faults(
         possible_size(TOLERANCES[name].limit, estimate)
         for name, estimate in zip(names, estimates, strict=True)
     ]
-    squares = (shifts * np.array(possible) / _QUANTILE) ** 2
+    squares = (shifts * np.array(possible) / QUANTILE) ** 2
     parts = {
         name: np.sqrt(np.sum(squares[:, [other == name for other in names]], axis=1))
         for name in TOLERATED
@@ -203,7 +206,7 @@ def possible_faults(
         CLOCK: f"± {100 * possible[1]:.2g} %",
         ZEROS: f"at most ± {1e3 * np.max(zeros):.2g} {'mrad' if revolute else 'mrad or mm'}",
     }
-    shown = abs(estimates[0].value) + _QUANTILE * estimates[0].error
+    shown = abs(estimates[0].value) + QUANTILE * estimates[0].error
     if not np.isfinite(shown):
         within[SHOWN_SCALE] = "nothing"
     elif shown > _CONFIRMED_SCALE:

@@ -2,12 +2,11 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxcslc.manipulator import Manipulator
+from jaxcslc.manipulator import LinkPoses, Manipulator
 from sim.machine._bodies import MachineError
 from sim.trajectory._paths import Array, namespace, spread
 
@@ -21,10 +20,7 @@ _LARGEST_STEP = 0.3  # [rad or m]
 
 @dataclass(frozen=True, eq=False)
 class Hand:
-    """A point of the last link: its position and Jacobian, from the modified D-H rows.
-
-    The transform of row i (Eqn. 2.6-1) is linear in the cosine and the sine of its angle and in
-    its offset, so all of them are formed at once and then multiplied along the chain.
+    """A point of the last link: its position and Jacobian.
 
     >>> import numpy as np
     >>> import jaxcslc
@@ -34,20 +30,8 @@ class Hand:
     (array([0.4115, 0.1501, 0.4331]), (3, 6))
     """
 
-    fixed: Float[np.ndarray, "joints 4 4"]
-    """The constant part of each transform: cosine, sine and joint variable are zero."""
-
-    cosine: Float[np.ndarray, "joints 4 4"]
-    """Its factor of the cosine of θ."""
-
-    sine: Float[np.ndarray, "joints 4 4"]
-    """Its factor of the sine of θ."""
-
-    slide: Float[np.ndarray, "joints 4 4"]
-    """Its factor of a prismatic joint's variable; zero for a revolute joint."""
-
-    theta: Float[np.ndarray, " joints"]
-    """θ where the joint variable is zero [rad]."""
+    poses: LinkPoses
+    """Of the links in frame 0."""
 
     turns: Float[np.ndarray, " joints"]
     """1 for a revolute joint, 0 for a prismatic one."""
@@ -61,21 +45,8 @@ class Hand:
 
         **Raises** `jaxcslc.RobotError`: a length has no value.
         """
-        robot.length_values()  # names the length that has no value
-        n = robot.joint_count
-        fixed, cosine, sine, slide = np.zeros((4, n, 4, 4))
-        for i, joint in enumerate(robot.joints):
-            c, s = np.cos(joint.alpha), np.sin(joint.alpha)
-            d = float(joint.d.value or 0.0)
-            cosine[i, 0, 0], cosine[i, 1, 1], cosine[i, 2, 1] = 1.0, c, s
-            sine[i, 0, 1], sine[i, 1, 0], sine[i, 2, 0] = -1.0, c, s
-            fixed[i, :, 2] = 0.0, -s, c, 0.0
-            fixed[i, :, 3] = float(joint.a.value or 0.0), -s * d, c * d, 1.0
-            if joint.kind == "P":
-                slide[i, :, 3] = 0.0, -s, c, 0.0
-        theta = np.array([joint.theta for joint in robot.joints], dtype=np.float64)
         turns = np.array([float(joint.kind == "R") for joint in robot.joints])
-        return cls(fixed, cosine, sine, slide, theta, turns, np.array(point, dtype=np.float64))
+        return cls(LinkPoses.of(robot), turns, np.array(point, dtype=np.float64))
 
     def locate(
         self, position: Float[Array, "*batch joints"]
@@ -83,7 +54,7 @@ class Hand:
         """Position of the point in frame 0 [m], and its Jacobian [m/rad, or 1], at joint positions
         [rad or m]."""
         xp = namespace(position)
-        chain = self._chain(position)
+        chain = self.poses(position)
         last = chain[..., -1, :, :]
         point = (last[..., :3, :3] @ spread(self.point[:, None], position))[..., 0]
         point = point + last[..., :3, 3]
@@ -122,30 +93,12 @@ class Hand:
         >>> Hand.of(jaxcslc.puma560()).frames(np.zeros(6)).shape
         (4, 4, 6)
         """
-        return namespace(position).moveaxis(self._chain(position), -3, -1)
+        return namespace(position).moveaxis(self.poses(position), -3, -1)
 
     @cached_property
     def _turns_only(self) -> bool:
         """Return whether there is no prismatic joint."""
         return bool(np.all(self.turns == 1.0))
-
-    @no_type_check
-    def _chain(self, position: Array) -> Array:
-        """Return `frames` as (*batch, joints, 4, 4)."""
-        xp = namespace(position)
-        turning = position if self._turns_only else spread(self.turns, position) * position
-        angle = (spread(self.theta, position) + turning)[..., None, None]
-        steps = (
-            spread(self.fixed, position)
-            + spread(self.cosine, position) * xp.cos(angle)
-            + spread(self.sine, position) * xp.sin(angle)
-        )
-        if not self._turns_only:
-            steps = steps + spread(self.slide, position) * position[..., None, None]
-        frames = [steps[..., 0, :, :]]
-        for i in range(1, len(self.turns)):
-            frames.append(frames[-1] @ steps[..., i, :, :])
-        return xp.stack(frames, axis=-3)
 
 
 def reach(

@@ -5,7 +5,6 @@ zeros, and torque by single numbers of links a scan over pairs. (Unrolled, the r
 links' axes, in which right angles and zero lengths leave few operations.)
 """
 
-import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -18,7 +17,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxcslc.codegen import in_blocks
 from jaxcslc.derivation import BODY
-from jaxcslc.manipulator import Joint
+from jaxcslc.manipulator import Joint, steps_at_zero
 
 from ._term import Joints, Matrices
 
@@ -53,14 +52,14 @@ def chain_geometry(
     joints: tuple[Joint, ...], paths: tuple[tuple[int, ...], ...], dtype: np.dtype
 ) -> Geometry:
     """The numbers of a chain or tree of joints, in a precision."""
-    placed = [_placement(joint) for joint in joints]
+    placed = steps_at_zero(joints).astype(dtype)
     carries = np.zeros((len(paths), len(paths)), dtype)
     for link, path in enumerate(paths):
         carries[list(path), link] = 1.0
     return Geometry(
         np.array([path[-2] + 1 if len(path) > 1 else 0 for path in paths]),
-        np.array([turn for turn, _ in placed], dtype),
-        np.array([step for _, step in placed], dtype),
+        placed[:, :3, :3],
+        placed[:, :3, 3],
         np.array([joint.kind == "R" for joint in joints], dtype),
         carries,
     )
@@ -186,22 +185,6 @@ def _next_frame(
         *(origin + along, w + spin, wd + turning * qdd * axis + cross(w, spin), a),
     )
     return jnp.stack(state)
-
-
-def _placement(joint: Joint) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation and step, in the parent's frame, at joint variable zero (Eqn. 2.6-1)."""
-
-    def about(axis: int, angle: float) -> np.ndarray:
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        matrix = np.eye(3)
-        matrix[i, i] = matrix[j, j] = math.cos(angle)
-        matrix[i, j], matrix[j, i] = -math.sin(angle), math.sin(angle)
-        return matrix
-
-    a, d, b = (length.value or 0.0 for _, _, length in joint.lengths)
-    branch, twist = about(2, joint.gamma), about(0, joint.alpha)
-    step = branch @ (np.array([a, 0.0, b]) + twist @ np.array([0.0, 0.0, d]))
-    return branch @ twist @ about(2, joint.theta), step
 
 
 # Functions of arrays alone: robots of as many joints share one program each.
