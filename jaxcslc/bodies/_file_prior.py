@@ -235,6 +235,15 @@ class FilePrior:
         inverse = np.linalg.pinv(total / np.outer(sizes, sizes), hermitian=True)
         return inverse / np.outer(sizes, sizes)
 
+    def _told(
+        self, fit: Identification
+    ) -> tuple[Float[np.ndarray, " coefficients"], Float[np.ndarray, "coefficients coefficients"]]:
+        """Return how far data move coefficients, in units of the prior's precision, and how much of
+        this precision they replace."""
+        precision = self.rows.matrix.T @ self.rows.matrix
+        change = np.asarray(with_knowledge(fit, {}, self.rows).k) - self.mean
+        return precision @ change, precision - precision @ self._posterior(fit) @ precision
+
     def deviations(self, fit: Identification) -> Float[np.ndarray, " links"]:
         """Return how far data move each link, over what its width explains; 0 if they do not.
 
@@ -243,15 +252,12 @@ class FilePrior:
 
         - `fit`: without the prior.
         """
-        precision = self.rows.matrix.T @ self.rows.matrix
-        change = np.asarray(with_knowledge(fit, {}, self.rows).k) - self.mean
-        posterior = self._posterior(fit)
+        precise, told = self._told(fit)
         result = np.zeros(len(self.widths))
         for i, (link, width) in enumerate(zip(self.links, self.widths, strict=True)):
             root = width * link
-            deviation = root.T @ precision @ change
-            known = root.T @ (precision - precision @ posterior @ precision) @ root
-            number = float(np.trace(known))
+            deviation = root.T @ precise
+            number = float(np.trace(root.T @ told @ root))
             if number > _FEWEST:
                 result[i] = np.sqrt(float(deviation @ deviation) / number)
         return result
@@ -262,9 +268,7 @@ class FilePrior:
 
         - `fit`: without the prior.
         """
-        precision = self.rows.matrix.T @ self.rows.matrix
-        change = np.asarray(with_knowledge(fit, {}, self.rows).k) - self.mean
-        posterior = self._posterior(fit)
+        precise, told = self._told(fit)
         # What scaling a link does, in independent changes of its width.
         wholes = np.zeros((len(self.widths), 10))
         wholes[:, 0] = 1.0 / self.widths
@@ -274,9 +278,8 @@ class FilePrior:
         for direction in (*single, wholes):
             length = float(np.sum(direction**2))
             along = np.einsum("lpc,lc->p", roots, direction) / np.sqrt(length)
-            told = precision - precision @ posterior @ precision
             share = float(along @ told @ along)
-            moved = float(along @ precision @ change) / np.sqrt(length)
+            moved = float(along @ precise) / np.sqrt(length)
             factors.append(1.0 + moved / share if share > _HALF else 1.0)
         return np.array(factors)
 

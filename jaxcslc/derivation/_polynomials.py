@@ -103,13 +103,18 @@ class SparsePolynomial(dict[Monomial, Any]):
             if not self:  # of how many generators is not known, and a number is as good
                 return sign * other
             other = {(0,) * len(next(iter(self))): fmpq(other)}
-        for monomial, value in other.items():
-            total = result.get(monomial, 0) + sign * value
-            if total:
-                result[monomial] = total
-            else:
-                del result[monomial]
+        _add_multiple(result, sign, other)
         return result
+
+
+def _add_multiple(total: dict[Any, Any], factor: Any, form: dict[Any, Any]) -> None:
+    """Add a multiple of a sum's terms to another's, in place; terms that cancel are deleted."""
+    for key, value in form.items():
+        new = total.get(key, 0) + factor * value
+        if new:
+            total[key] = new
+        else:
+            del total[key]
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,13 +195,7 @@ class PositionRing:
         result: dict[Monomial, dict[Any, Any]] = {}
 
         def put(monomial: list[int], form: dict[Any, Any], factor: int) -> None:
-            target = result.setdefault(tuple(monomial), {})
-            for key, value in form.items():
-                total = target.get(key, 0) + factor * value
-                if total:
-                    target[key] = total
-                else:
-                    del target[key]
+            _add_multiple(result.setdefault(tuple(monomial), {}), factor, form)
 
         for angle, sign in self._angles_in(joint):
             cos, sin = 2 * angle, 2 * angle + 1

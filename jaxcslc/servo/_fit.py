@@ -38,7 +38,7 @@ from ._search import (
     JointMotion,
     JointProblem,
 )
-from ._sensitivity import Coupling, lengths_of_steps, sensitivities
+from ._sensitivity import Coupling, accelerations, lengths_of_steps, sensitivities
 from ._simulation import LONGEST_STEP, joint_loads, simulate, with_payload
 from ._start import CORRELATION, Regression, starting_point
 
@@ -442,9 +442,7 @@ class _Search:
         self.offsets = self._offsets(self.unknowns)
         for k, (recording, position) in enumerate(zip(self.recordings, simulated, strict=True)):
             velocity = np.gradient(position, recording.time, axis=0)
-            interval = float(np.median(np.diff(recording.time)))
-            acceleration = np.zeros_like(position)
-            acceleration[1:-1] = np.diff(position, 2, axis=0) / interval**2
+            acceleration = accelerations(position, recording.time)
             self.smooth[k] = (self.smooth[k][0], velocity, acceleration)
         self.problems = self._with_offsets(self.offsets)
 

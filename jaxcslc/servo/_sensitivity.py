@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..manipulator import Manipulator
-from ._search import NAMES, JointMotion, JointProblem
+from ._search import NAMES, JointProblem
 from ._simulation import JointLoads, inverse_dynamics, simulate_joint
 
 
@@ -113,7 +113,9 @@ def sensitivities(
             for j, other in enumerate(J_before):
                 if j != i:
                     weight += couplings[n].stiffness[:, i, j, None] * (other[part] - zeros[j])
-                    push += couplings[n].mass[:, i, j, None] * _accelerations(other[part], motion)
+                    push += couplings[n].mass[:, i, j, None] * accelerations(
+                        other[part], motion.time
+                    )
             loads = motion.loads(masses)
             before = residuals[part] + motion.position
             torques = np.abs(weight) + np.abs(push)
@@ -164,10 +166,11 @@ def lengths_of_steps(
     return lengths
 
 
-def _accelerations(
-    positions: Float[np.ndarray, "samples all"], motion: JointMotion
+def accelerations(
+    positions: Float[np.ndarray, "samples all"], time: Float[np.ndarray, " samples"]
 ) -> Float[np.ndarray, "samples all"]:
-    interval = float(np.median(np.diff(motion.time)))
+    """Return second differences of positions; zeros at the ends."""
+    interval = float(np.median(np.diff(time)))
     found = np.zeros_like(positions)
     found[1:-1] = np.diff(positions, 2, axis=0) / interval**2
     return found
