@@ -154,7 +154,9 @@ class FilePrior:
             known,
             widths,
             names,
-            *(tuple(compress(names, some)) for some in (massless, invented, implausible)),
+            tuple(compress(names, massless)),
+            tuple(compress(names, invented)),
+            tuple(compress(names, implausible)),
         )
 
     def scaled(self, factor: float) -> "FilePrior":

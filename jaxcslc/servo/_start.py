@@ -27,8 +27,8 @@ _DELAYS = np.arange(0.0, 0.121, 0.01)  # s, that are tried
 _MOST_SAMPLES = 6000  # of all recordings together; more cost time, and tell the start little
 CORRELATION = 50.0
 """Samples that carry the information of one, before residuals say."""
-_ITERATIONS, _ROUNDS = 4, 2  # of Gauss and Newton, after each choice of delays
-_STEP = 0.01  # of zero positions [rad] and of the logarithm of the scale, for derivatives
+_ROUNDS = 2  # choices of delays, each before least squares
+_TOLERANCE = 1e-4  # of the sum of squares: the search goes on from there
 _FEWEST = 20  # samples that slide; with fewer a joint starts from the table
 
 
@@ -163,8 +163,7 @@ class Regression:
                 rests = [np.mean(self.joint(i, load[:, i], d)[1] ** 2) for d in range(len(_DELAYS))]
                 delays[i] = int(np.argmin(rests))
                 sizes[i] = max(math.sqrt(min(rests) * CORRELATION), 1e-9)
-            for _ in range(_ITERATIONS):
-                z = self._moved(z, free, deviations, delays, sizes)
+            z = self._moved(z, free, deviations, delays, sizes)
         load = self.loads(z[:-1], math.exp(z[-1]))
         found: list[dict[str, float]] = [{} for _ in offsets]
         for i, delay in delays.items():
@@ -188,20 +187,21 @@ class Regression:
         delays: dict[int, int],
         sizes: dict[int, float],
     ) -> Float[np.ndarray, " unknowns"]:
-        """Return the unknowns after a step of Gauss and Newton."""
+        """Return the unknowns of least squares, the others as they are."""
         if not free.any() or not delays:
             return z
-
-        def residuals(z: Float[np.ndarray, " unknowns"]) -> np.ndarray:
-            load = self.loads(z[:-1], math.exp(z[-1]))
-            rests = [self.joint(i, load[:, i], d)[1] / sizes[i] for i, d in delays.items()]
-            return np.concatenate([*rests, z[free] / deviations[free]])
-
-        r = residuals(z)
-        moves = _STEP * np.eye(len(z))[free]
-        J = np.stack([(residuals(z + move) - r) / _STEP for move in moves], axis=1)
         moved = z.copy()
-        moved[free] -= np.clip(np.linalg.lstsq(J, r)[0], -deviations[free], deviations[free])
+
+        def residuals(values: Float[np.ndarray, " free"]) -> np.ndarray:
+            moved[free] = values
+            load = self.loads(moved[:-1], math.exp(moved[-1]))
+            rests = [self.joint(i, load[:, i], d)[1] / sizes[i] for i, d in delays.items()]
+            return np.concatenate([*rests, values / deviations[free]])
+
+        found = scipy.optimize.least_squares(
+            residuals, z[free], x_scale=deviations[free], ftol=_TOLERANCE
+        )
+        moved[free] = found.x
         return moved
 
 
