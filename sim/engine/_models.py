@@ -13,12 +13,11 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Float
 
-from jaxcslc.manipulator import LinkParameters, Manipulator
+from jaxcslc.manipulator import LinkParameters, Manipulator, link_poses
 from sim.engine._mjcf import mjcf, rigid_bodies
 from sim.machine._bodies import MachineError
 from sim.machine._drivetrain import Transmission, friction_of
 from sim.machine._machine import Machine
-from sim.trajectory._kinematics import Hand
 
 
 # Configurations in which gravity torque is evaluated: a PUMA's maximum is within 2 %.
@@ -77,19 +76,19 @@ def _gravity_columns(
         np.where(np.isfinite(high), high, math.pi),
     )
     share = np.random.default_rng(0).uniform(size=(_POSTURES, n))
-    frames = Hand.of(robot).frames(low + share * (high - low))  # (postures, 4, 4, n)
-    rotation, origin = frames[:, :3, :3], frames[:, :3, 3]
+    poses = link_poses(robot, low + share * (high - low))
+    rotation, origin = poses[..., :3, :3], poses[..., :3, 3]
     columns = np.zeros((_POSTURES, n, n, 4))
     for i in range(n):
-        axis, centre = rotation[:, :, 2, i], origin[:, :, i]
+        axis, centre = rotation[:, i, :, 2], origin[:, i]
         # g·(z x r) = (g x z)·r, of the origin of link j's frame and of its axes.
         lifted = -np.cross(gravity, axis)
         for j in range(i, n):
             if robot.joints[i].kind == "P":
                 columns[:, i, j, 0] = -axis @ gravity
                 continue
-            columns[:, i, j, 0] = np.sum(lifted * (origin[:, :, j] - centre), axis=1)
-            columns[:, i, j, 1:] = np.einsum("pa,pab->pb", lifted, rotation[:, :, :, j])
+            columns[:, i, j, 0] = np.sum(lifted * (origin[:, j] - centre), axis=1)
+            columns[:, i, j, 1:] = np.einsum("pa,pab->pb", lifted, rotation[:, j])
     return columns.reshape(_POSTURES, n, 4 * n)
 
 

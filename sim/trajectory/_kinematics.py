@@ -80,20 +80,10 @@ class Hand:
         >>> axes.round(3)[:, 1]
         array([-0.,  1.,  0.])
         """
-        chain = self.frames(position)
+        chain = self.poses(position)
         turns = spread(self.turns, position)[..., None, :]
-        return chain[..., :3, :3, -1], turns * chain[..., :3, 2, :]
-
-    def frames(self, position: Float[Array, "*batch joints"]) -> Float[Array, "*batch 4 4 joints"]:
-        """Every link's frame in frame 0, along the last axis, at joint positions [rad or m].
-
-        >>> import numpy as np
-        >>> import jaxcslc
-        >>> from sim import Hand
-        >>> Hand.of(jaxcslc.puma560()).frames(np.zeros(6)).shape
-        (4, 4, 6)
-        """
-        return namespace(position).moveaxis(self.poses(position), -3, -1)
+        axes = namespace(position).moveaxis(chain[..., :3, 2], -1, -2)
+        return chain[..., -1, :3, :3], turns * axes
 
     @cached_property
     def _turns_only(self) -> bool:
