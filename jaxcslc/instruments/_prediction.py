@@ -198,7 +198,7 @@ def _origins(
     """Return the origins of the last joint's frame [m]."""
     flat = np.where(np.isfinite(q), q, np.nan).reshape(-1, q.shape[-1])
     flat = np.asarray(network.positions_of_all_joints(flat))
-    origins = np.stack([link_poses(network.robot, position)[-1, :3, 3] for position in flat])
+    origins = np.asarray(link_poses(network.robot, flat))[:, -1, :3, 3]
     return origins.reshape(*q.shape[:-1], 3)
 
 

@@ -136,7 +136,6 @@ def fit_on_cluster(
     client: Any = None,
     read: Callable[[Path], Recording] | None = None,
     progress: Callable[[str], None] | None = None,
-    throw: bool = True,
 ) -> Identification:
     """Fit the recordings of many files together, on the workers of a Dask cluster.
 
@@ -154,7 +153,6 @@ def fit_on_cluster(
     - `client`: a `distributed.Client`; a cluster of this machine's cores, for this call, if None.
     - `read`: a function from a path to a recording, `load_recording` if None.
     - `progress`: is called with a few words whenever a file is done.
-    - `throw`: as of `LeastSquares.fit`.
 
     **Returns** an `Identification`. Its standard errors are for independent noise: no worker sees
     two files. For noise that is correlated in time, as after smoothing, compare fits of parts
@@ -183,7 +181,7 @@ def fit_on_cluster(
     """
     factors = _factors_of_files(network, paths, settings, client, read, progress)
     solver = _solver(settings)
-    return solver.fit_factors(network, joined_factors(list(factors.values())), throw=throw)
+    return solver.fit_factors(network, joined_factors(list(factors.values())))
 
 
 def fit_fleet_on_cluster(

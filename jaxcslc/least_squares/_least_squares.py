@@ -174,7 +174,6 @@ class LeastSquares:
         self,
         network: AbstractLinearNetwork,
         chunks: Iterable[Patterns],
-        fixed: Fixed | None = None,
         throw: bool = True,
         *,
         workers: int | None = None,
@@ -210,17 +209,16 @@ class LeastSquares:
                 f" cutoff, got {self}"
             )
         factors = factors_of_blocks(network, blocks_of_chunks(network, chunks, workers))
-        return self.fit_factors(network, factors, fixed, throw)
+        return self.fit_factors(network, factors, throw)
 
     def fit_factors(
         self,
         network: AbstractLinearNetwork,
         factors: JointFactors,
-        fixed: Fixed | None = None,
         throw: bool = True,
     ) -> Identification:
         """Fit factorised patterns by ordinary least squares, with errors for independent noise."""
-        unknowns, fixed = Unknowns.of(network), fixed or Fixed.from_known(network)
+        unknowns, fixed = Unknowns.of(network), Fixed.from_known(network)
         return checked(self._fit_rows(unknowns, factors, None, fixed), throw)
 
     def fit_equations(

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import PhysicalParameters, Prior, fixed_bodies, physical_parameters
-from ..least_squares import Errors, Identification
+from ..least_squares import Errors, Identification, settled
 from ..network import CSLC
 from ._likelihood_fit import SPACED, LikelihoodFit, likelihood_fit
 from ._objective import Linear
@@ -187,14 +187,12 @@ def possible_bodies(
         profile = Profile.of(minimum, problem.scale)
         fit = likelihood_fit(network, profile.minimum, "independent")
         bodies = bodies_nearest_to(fit.fit.with_k(profile.target), weight)
-        change = bodies.k - profile.k
-        error = np.where(np.asarray(fit.fit.determined), np.asarray(fit.fit.standard_error), np.inf)
-        settled = bool(np.all(np.abs(change) <= _SETTLED * error))
-        if settled or rounds == _MOST_ROUNDS:
+        converged = settled(fit.fit.with_k(bodies.k), profile.k, _SETTLED)
+        if converged or rounds == _MOST_ROUNDS:
             break
-        minimum, part, of_trials = profile.towards(change, part, search_with)
+        minimum, part, of_trials = profile.towards(bodies.k - profile.k, part, search_with)
         steps, rounds = steps + of_trials, rounds + 1
-    if not settled:
+    if not converged:
         bodies = bodies_nearest_to(fit.fit.with_k(profile.k), weight)
     if errors != "independent":
         fit = likelihood_fit(network, profile.minimum, errors)
@@ -202,7 +200,7 @@ def possible_bodies(
         fit,
         fit=fit.fit.with_k(bodies.k),
         steps=steps,
-        converged=settled and minimum.converged,
+        converged=converged and minimum.converged,
         bodies=bodies,
         free=free.fit,
         **{name: getattr(free, name) for name in SPACED},
