@@ -74,6 +74,7 @@ class FilePrior:
 
     **Attributes**
 
+    - `coefficients`: names of the p coefficients.
     - `mean`: (p,) coefficients that the file implies; 0 of friction.
     - `changes`: (n, 10, 10) ten independent changes of each link, by the whole of it, as columns;
       the first is the link itself.
@@ -82,6 +83,8 @@ class FilePrior:
     - `motor_errors`: (n,) standard deviation of each motor inertia.
     - `motors`: (p, n) what one standard deviation of each motor inertia does.
     - `inertial`: (p,) true for coefficients that the file knows something of.
+    - `offset_errors`: (p,) standard deviation of each torque offset about zero; 0 of all other
+      coefficients, and of offsets of which nothing is known.
     - `widths`: (n,) standard deviation of each link, as a part of it.
     - `correlation`: times that errors of a fit exceed those of independent samples, as variances.
     - `names`: of links; `guessed`, `invented`: links without inertia, and with the inertia of
@@ -93,6 +96,7 @@ class FilePrior:
     True
     """
 
+    coefficients: tuple[str, ...]
     mean: Float[np.ndarray, " coefficients"]
     changes: Float[np.ndarray, "links 10 10"]
     links: Float[np.ndarray, "links coefficients 10"]
@@ -100,6 +104,7 @@ class FilePrior:
     motor_errors: Float[np.ndarray, " links"]
     motors: Float[np.ndarray, "coefficients links"]
     inertial: Bool[np.ndarray, " coefficients"]
+    offset_errors: Float[np.ndarray, " coefficients"]
     widths: Float[np.ndarray, " links"]
     names: tuple[str, ...]
     guessed: tuple[str, ...] = ()
@@ -145,6 +150,7 @@ class FilePrior:
         invented = _invented(prior.bodies) & ~massless
         widths = WIDTH * np.where(massless | invented | implausible, _INVENTED, 1.0)
         return cls(
+            network.names,
             mean,
             changes,
             of_changes,
@@ -152,6 +158,7 @@ class FilePrior:
             errors,
             motors,
             known,
+            np.zeros(p),
             widths,
             names,
             tuple(compress(names, massless)),
@@ -175,6 +182,24 @@ class FilePrior:
             self, widths=np.array([widths.get(name, width) for name, width in known])
         )
 
+    def of_fit(self, network: CSLC, fit: Identification) -> "FilePrior":
+        """Return the prior of what a fit shows to be known of errors: their correlation, and sizes
+        of torque offsets.
+
+        An offset is a zero error of a drive or a sensor. It is of the size of the joint's dry
+        friction or, where that is small, of its torque error. The prior tells offsets from gravity
+        where the motion does not.
+
+        - `network`: of the fit.
+        - `fit`: without the prior.
+        """
+        errors = np.zeros(len(fit.names))
+        size = np.asarray(fit.torque_error)
+        for joint, (offset, dry) in _offsets_and_dry(network).items():
+            errors[offset] = np.hypot(size[joint], 0.0 if dry is None else float(fit.k[dry]))
+        prior = self.of_names(fit.names)
+        return dataclasses.replace(prior, offset_errors=errors, correlation=correlation_of(fit))
+
     @property
     def confidence(self) -> Confidence:
         """Errors of the file's bodies, as the programme of nearest bodies has them."""
@@ -185,18 +210,28 @@ class FilePrior:
     def covariance(self) -> Float[np.ndarray, "coefficients coefficients"]:
         """Covariance of the coefficients; 0 of those that the file does not know."""
         roots = self.links * self.widths[:, None, None]
-        return np.einsum("lpc,lqc->pq", roots, roots) + self.motors @ self.motors.T
+        bodies = np.einsum("lpc,lqc->pq", roots, roots) + self.motors @ self.motors.T
+        return bodies + np.diag(self.offset_errors**2)
 
-    def of_size(self, size: int) -> "FilePrior":
-        """Return the prior of a network of `size` coefficients with the same inertial ones."""
-        p = min(size, len(self.mean))
+    def of_names(self, names: tuple[str, ...]) -> "FilePrior":
+        """Return the prior of a network of other friction, by the names of its coefficients."""
+        size, p = len(names), min(len(names), len(self.mean))
         mean, inertial = np.zeros(size), np.zeros(size, bool)
         mean[:p], inertial[:p] = self.mean[:p], self.inertial[:p]
         links = np.zeros((len(self.links), size, 10))
         links[:, :p] = self.links[:, :p]
         motors = np.zeros((size, len(self.links)))
         motors[:p] = self.motors[:p]
-        return dataclasses.replace(self, mean=mean, links=links, motors=motors, inertial=inertial)
+        offsets = dict(zip(self.coefficients, self.offset_errors.tolist(), strict=True))
+        return dataclasses.replace(
+            self,
+            coefficients=names,
+            mean=mean,
+            links=links,
+            motors=motors,
+            inertial=inertial,
+            offset_errors=np.array([offsets.get(name, 0.0) for name in names]),
+        )
 
     @cached_property
     def rows(self) -> KnownRows:
@@ -398,9 +433,9 @@ class ChosenPrior(NamedTuple):
     def of_fit(self, fit: Identification) -> "ChosenPrior":
         """Return the prior of another fit without it, of the same robot.
 
-        The number of coefficients that are not inertial may differ.
+        Coefficients that are not inertial may differ.
         """
-        prior = self.prior.of_size(len(fit.names))
+        prior = self.prior.of_names(fit.names)
         correlation = self.weight.misfit * correlation_of(fit)
         prior = dataclasses.replace(prior, correlation=correlation)
         return ChosenPrior(prior, dataclasses.replace(self.weight, share=prior.share(fit)))
@@ -419,7 +454,7 @@ def chosen_prior(
     prior = FilePrior.of(network)
     if prior is None:
         return None
-    prior = dataclasses.replace(prior, correlation=correlation_of(fit))
+    prior = prior.of_fit(network, fit)
     misfit = misfit_of(network, patterns, solver, fit, prior.rows)
     prior = dataclasses.replace(
         prior.scaled(np.sqrt(misfit.prior)), correlation=misfit.data * prior.correlation
@@ -443,6 +478,16 @@ def correlation_of(fit: Identification) -> float:
     independent = np.diag(np.asarray(fit.independent_covariance))[known]
     some = independent > 0.0
     return max(float(np.median(errors[some] / independent[some])), 1.0) if np.any(some) else 1.0
+
+
+def _offsets_and_dry(network: CSLC) -> dict[int, tuple[int, int | None]]:
+    """Return, by joint from 0, the indices of its torque offset and of its dry friction."""
+    indices: dict[str, dict[int, int]] = {}
+    for kind in ("offset", "dry"):
+        joints = [j for j, kinds in enumerate(network.friction_per_joint) if kind in kinds]
+        of_kind = network.layout.indices(kind).tolist() if joints else []
+        indices[kind] = dict(zip(joints, of_kind, strict=True))
+    return {j: (offset, indices["dry"].get(j)) for j, offset in indices["offset"].items()}
 
 
 def _compact(link: LinkParameters, limit: float) -> LinkParameters:

@@ -5,14 +5,19 @@ samples that repeat others. Residuals do not tell them apart. Predictions of mot
 fitted one do: their errors are larger than the covariance of the fit says.
 """
 
-import dataclasses
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..least_squares import FoldFit, Identification, JointFactors, LeastSquares
+from ..least_squares import (
+    FoldFit,
+    Identification,
+    JointFactors,
+    LeastSquares,
+    WeightedEquations,
+)
 from ..network import CSLC
 from ..recordings import Patterns
 from ._prior import KnownRows, information_rows
@@ -105,20 +110,26 @@ class _Split(NamedTuple):
 def _splits(
     network: CSLC, patterns: Patterns, solver: LeastSquares, fit: Identification
 ) -> Iterator[_Split]:
-    """Judge motion far from the middle of positions, fast motion, and either half of the time."""
-    solver = dataclasses.replace(solver, errors="independent")
-    equations = solver.equations(network, patterns)
-    samples = patterns.samples
-    late = np.arange(samples) >= samples // 2
+    """Judge motion far from the middle of positions, fast motion, and either half of the time.
+
+    Fits of halves have the weights and the noise of the fit of all.
+    """
+    whole = solver.equations(network, patterns)
+    weighted = WeightedEquations.of(whole, np.asarray(fit.k), solver)
+    unknowns, equations = whole.unknowns, whole.times(weighted.roots)
+    # A half's own residuals are smaller than its noise: it has half as many equations, and slow
+    # motion has less of what the model lacks.
+    variance = weighted.minimum(unknowns, equations.factors()).variance
+    late = np.arange(patterns.samples) >= patterns.samples // 2
     q, speed = np.asarray(patterns.q), np.abs(np.asarray(patterns.qd))
     for far in (_outer(np.abs(q - np.median(q, axis=0))), _outer(speed), late, ~late):
         if np.all(far) or not np.any(far):
             continue
-        part = solver.fit_equations(equations.selected(~far), samples, throw=False)
-        near = FoldFit(*map(np.asarray, (part.k, part.covariance, part.undetermined)))
+        part = weighted.minimum(unknowns, equations.selected(~far).factors())
+        near = FoldFit(part.k, variance * part.inverse_gram, part.undetermined)
         if np.all(np.isfinite(near.k)) and np.all(np.isfinite(near.covariance)):
             factors = equations.selected(far).factors()
-            errors = factors.root_mean_squares(equations.unknowns, np.asarray(fit.k))
+            errors = factors.root_mean_squares(unknowns, np.asarray(fit.k))
             yield _Split(near, factors, np.asarray(errors) ** 2)
 
 

@@ -22,6 +22,7 @@ from ._pre_sliding import (
     dry_term as dry_term,
     fit_pre_sliding as fit_pre_sliding,
     has_states as has_states,
+    informed_errors as informed_errors,
     pre_sliding_document as pre_sliding_document,
     pre_sliding_from as pre_sliding_from,
     split_friction as split_friction,

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._bounded_search import bounded_minima
 from ..derivation import Coefficient
-from ..least_squares import Identification, LeastSquares, torque_of
+from ..least_squares import Identification, LeastSquares, columns_of, torque_by, torque_of
 from ..network import (
     CSLC,
     JAX_FUNCTIONS,
@@ -436,7 +436,7 @@ def _held_out(
     after, before = (
         solver.held_out_errors(x, patterns, fold)
         if informed is None
-        else _informed_errors(x, patterns, solver, fold, informed)
+        else informed_errors(x, patterns, solver, fold, informed)
         for x in (yielding, network)
     )
     return {
@@ -446,19 +446,20 @@ def _held_out(
     }
 
 
-def _informed_errors(
+def informed_errors(
     network: CSLC,
     patterns: Patterns,
     solver: LeastSquares,
     fold: Int[np.ndarray, " samples"],
     informed: Callable[[Any], Any],
 ) -> Float[np.ndarray, "samples joints"]:
-    """Errors of folds under fits to the others, with what is known of bodies."""
-    errors = np.zeros(np.shape(patterns.torque))
-    for number, fit in enumerate(solver.fits_without_folds(network, patterns, fold)):
-        predicted = torque_of(network, patterns, informed(fit).k)
+    """Return errors of folds under fits to the others, with what is known of bodies."""
+    columns = columns_of(network, patterns)
+    errors = np.array(patterns.torque, float)
+    for number, fit in enumerate(solver.fits_without_folds(network, patterns, fold, columns)):
         here = fold == number
-        errors[here] = (np.asarray(patterns.torque) - predicted)[here]
+        part = tuple(of_joint[:, here] for of_joint in columns)
+        errors[here] -= torque_by(network.support, part, np.asarray(informed(fit).k))
     return errors
 
 

@@ -7,6 +7,7 @@ import contextlib
 import dataclasses
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -31,6 +32,7 @@ from ..selection import (
     FrictionChoice,
     choose_friction,
     motion_part,
+    with_all_offsets,
 )
 from ..uncertainty import SeveralFit
 from ._estimator import AbstractEstimator, Judged
@@ -42,6 +44,7 @@ from ._problem import (
     VALIDATION,
     ChosenSettings,
     basic_settings,
+    has_bodies,
     judged_part,
     prepare,
     select_settings,
@@ -90,6 +93,27 @@ class ChosenFriction:
     not_tried: str | None = None
 
 
+def with_prior_offsets(request: Request) -> Request:
+    """Return the request with a torque offset of every joint, if the robot's file is a prior.
+
+    The prior tells offsets from gravity where the motion does not, and `FilePrior` says how large
+    they are. So nothing has to be tried.
+    """
+    if request.friction is None or request.offsets or not has_bodies(request):
+        return request
+    return dataclasses.replace(request, network=with_all_offsets(request.network))
+
+
+def with_chosen_settings(
+    asked: Request, request: Request, step: Callable[[str], None]
+) -> ChosenFriction:
+    """Select settings for the network that was asked for, and fit one that has more offsets."""
+    chosen = select_settings(asked, step) if asked.settings is None else None
+    note = "torque offsets of all joints: the robot's file tells them from gravity"
+    terms = FrictionChoice(request.network, (), note)
+    return ChosenFriction(request, chosen, terms, not_tried="")
+
+
 def with_offsets(request: Request, step: Callable[[str], None]) -> ChosenFriction:
     """Add a constant torque to joints whose motion is predicted better with it.
 
@@ -119,8 +143,12 @@ def with_offsets(request: Request, step: Callable[[str], None]) -> ChosenFrictio
     return ChosenFriction(request, chosen, terms, not_tried="")
 
 
-def choose_friction_terms(request: Request, step: Callable[[str], None]) -> ChosenFriction:
+def choose_friction_terms(
+    asked: Request, request: Request, step: Callable[[str], None]
+) -> ChosenFriction:
     """Choose friction joint by joint, on the longest recording.
+
+    Settings are selected for the network that was asked for, before it got torque offsets.
 
     Where maximum likelihood is fitted, pre-sliding distances are chosen now: its fits use them.
     """
@@ -129,7 +157,7 @@ def choose_friction_terms(request: Request, step: Callable[[str], None]) -> Chos
     candidates = [
         kind for kind in FRICTION_CANDIDATES if not unfit or kind not in (LOAD, DIRECTIONAL_LOAD)
     ]
-    chosen = select_settings(request, step) if request.settings is None else None
+    chosen = select_settings(asked, step) if asked.settings is None else None
     tried, not_tried = None, excluded(request, PRE_SLIDING)
     fits = within_memory(request.network, request.training, request.memory)
     distance = None
@@ -143,6 +171,7 @@ def choose_friction_terms(request: Request, step: Callable[[str], None]) -> Chos
         candidates=candidates,
         others=[x for name, x in request.training.items() if name != request.longest],
         presliding_distance=distance,
+        informed=partial(with_file_bodies, request) if has_bodies(request) else None,
         progress=step,
     )
     request = dataclasses.replace(request, network=terms.network)
@@ -233,7 +262,7 @@ def _tried(
     step(f"trying friction: {PRE_SLIDING}")
     everything = np.ones(np.shape(patterns.mask), bool)
     try:
-        informed = with_file_bodies(request, solver.fit(network, patterns))
+        informed = with_file_bodies(request, network, solver.fit(network, patterns))
         return fit_pre_sliding(
             *(network, patterns),
             solver=solver,
@@ -402,13 +431,17 @@ def _identified(
 ) -> Report:
     """The report of a request that has been checked."""
     friction: ChosenFriction | None = None
-    asked = request
+    asked, request = request, with_prior_offsets(request)
     with _checked_in_process(request) as early:
-        if request.friction is not None:
-            choose = choose_friction_terms if request.friction == "auto" else with_offsets
-            friction = choose(request, step)
-            request = friction.request
-        same = request.network is asked.network
+        checked = request.network
+        if request.friction == "auto":
+            friction = choose_friction_terms(asked, request, step)
+        elif request.network is not asked.network:
+            friction = with_chosen_settings(asked, request, step)
+        elif request.friction == "offset":
+            friction = with_offsets(request, step)
+        request = request if friction is None else friction.request
+        same = request.network is checked
         with (
             estimator.beside(request) as begin,
             _checked_beside(request, step, early if same else None) as data_check,
@@ -420,8 +453,8 @@ def _identified(
             # What is wrong with recordings is said now.
             _ = problem.patterns, problem.judged_patterns
             judged = estimator.judged(with_file_prior(with_friction(problem)))
-            checked = data_check()
-    return _report(judged, friction, checked)
+            found = data_check()
+    return _report(judged, friction, found)
 
 
 def _report(judged: Judged, chosen: ChosenFriction | None, data_check: DataCheck | None) -> Report:

@@ -19,7 +19,6 @@ from ..bodies import (
     JudgedPart,
     Known,
     chosen_prior,
-    correlation_of,
     with_knowledge,
 )
 from ..friction import LoadFit, SlopeFit, fit_load, fit_slopes
@@ -373,17 +372,24 @@ def with_file_prior(problem: Problem) -> Problem:
     )
 
 
-def with_file_bodies(request: Request, fit: Identification) -> Callable[[Any], Any] | None:
+def has_bodies(request: Request) -> bool:
+    """Return whether the robot's file is a prior: whether it has masses."""
+    return request.has_file_prior and FilePrior.of(request.network) is not None
+
+
+def with_file_bodies(
+    request: Request, network: CSLC, fit: Identification
+) -> Callable[[Any], Any] | None:
     """Return what adds the bodies of the robot's file to fits of the same coefficients, of all
     samples or of some (`FoldFit`); None without such bodies.
 
+    - `network`: of the fits.
     - `fit`: of all samples: it shows how correlated errors are.
     """
     prior = FilePrior.of(request.network) if request.has_file_prior else None
     if prior is None:
         return None
-    of_fit = dataclasses.replace(prior.of_size(len(fit.names)), correlation=correlation_of(fit))
-    return partial(with_knowledge, known={}, rows=of_fit.rows)
+    return partial(with_knowledge, known={}, rows=prior.of_fit(network, fit).rows)
 
 
 def select_settings(request: Request, step: Callable[[str], None]) -> ChosenSettings:

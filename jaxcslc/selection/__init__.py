@@ -15,6 +15,7 @@ from ._friction import (
     FrictionChoice as FrictionChoice,
     FrictionTrial as FrictionTrial,
     choose_friction as choose_friction,
+    with_all_offsets as with_all_offsets,
 )
 from ._selection import (
     SAMPLES_OF_THREADS as SAMPLES_OF_THREADS,

@@ -13,8 +13,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..friction import PreSlidingFit, along_motion, fit_load, fit_slopes, linearised
-from ..least_squares import Settings, columns_of, torque_of, unknowns_of
+from ..friction import (
+    PreSlidingFit,
+    along_motion,
+    fit_load,
+    fit_slopes,
+    informed_errors,
+    linearised,
+)
+from ..least_squares import Identification, Settings, columns_of, torque_of, unknowns_of
 from ..manipulator import RobotError
 from ..network import CSLC, DIRECTIONAL_LOAD, LOAD
 from ..recordings import (
@@ -56,6 +63,10 @@ _GAIN_OF_SECOND = 0.01
 PRE_SLIDING = "pre-sliding"
 # Rounds of adding terms.
 _ROUNDS = 3
+
+Informed = Callable[[CSLC, Identification], Callable[[Any], Any] | None]
+"""Of a network and its fit, returns what adds knowledge of bodies to fits of parts of the motion,
+or None without such knowledge."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -218,6 +229,7 @@ def choose_friction(
     others: Sequence[Recording] = (),
     motion: Derivatives | None = None,
     presliding_distance: Float[np.ndarray, " joints"] | None = None,
+    informed: Informed | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> FrictionChoice:
     """Friction terms that predict motion better that was not fitted, joint by joint.
@@ -246,6 +258,8 @@ def choose_friction(
     - `presliding_distance`: (n,) of joints whose dry friction has a state (`fit_pre_sliding`), 0 of
       others: terms are judged beside it, so that none compensates for it. Such joints get no static
       friction, which is what friction before sliding is.
+    - `informed`: of a network and its fit, returns what adds known bodies to fits of parts of the
+      motion, which terms are judged by.
     - `progress`: is called with a few words at each trial.
 
     **Returns** a `FrictionChoice`.
@@ -267,7 +281,7 @@ def choose_friction(
         progress("choosing settings")
         settings = choose_settings(network, recording).settings
     yields = np.zeros(network.joint_count) if presliding_distance is None else presliding_distance
-    judge = _Judge(recording, settings, others, motion, yields)
+    judge = _Judge(recording, settings, others, motion, yields, informed)
     trials: list[FrictionTrial] = []
     chance = 0.05 / max(len(candidates), 1)
     for _ in range(_ROUNDS):
@@ -308,6 +322,11 @@ def choose_friction(
             ]
         )
     return FrictionChoice(network, tuple(trials))
+
+
+def with_all_offsets(network: CSLC) -> CSLC:
+    """Return the network with a torque offset of every joint that may have one."""
+    return next((richer for richer, _ in _with(network, OFFSET)), network)
 
 
 def _with(network: CSLC, kind: str, barred: Sequence[int] = ()) -> Iterator[tuple[CSLC, list[int]]]:
@@ -387,6 +406,7 @@ class _Judge:
 
     - `motion`: derivatives of the fitted one, where they are known.
     - `presliding_distance`: (n,) of states of dry friction; 0 where it has the velocity's sign.
+    - `informed`: as of `choose_friction`.
     """
 
     recording: Recording
@@ -394,6 +414,7 @@ class _Judge:
     others: Sequence[Recording]
     motion: Derivatives | None
     presliding_distance: Float[np.ndarray, " joints"]
+    informed: Informed | None = None
 
     @cached_property
     def derivatives(self) -> tuple[Derivatives, ...]:
@@ -442,18 +463,30 @@ class _Judge:
         first = listed[0]
         stretches = fold_numbers(first.samples)
         halves = unlike_halves(first, moving[0])
-        columns = columns_of(networks[0], first)
-        unknowns = unknowns_of(networks[0], first, columns)
-        stretches_errors, *halves_errors = (
-            solver.held_out_errors(networks[0], first, fold, columns, unknowns)
-            for fold in (stretches, *halves)
-        )
+        known: Callable[[Any], Any] | None = None
+        if self.informed is not None:
+            known = self.informed(networks[0], solver.fit(networks[0], first))
+        if known is None:
+            columns = columns_of(networks[0], first)
+            unknowns = unknowns_of(networks[0], first, columns)
+            stretches_errors, *halves_errors = (
+                solver.held_out_errors(networks[0], first, fold, columns, unknowns)
+                for fold in (stretches, *halves)
+            )
+        else:
+            stretches_errors, *halves_errors = (
+                informed_errors(networks[0], first, solver, fold, known)
+                for fold in (stretches, *halves)
+            )
         parts = [
             _Part(stretches_errors, moving[0], stretches),
             _joined(halves_errors, [moving[0]] * 2, halves),
         ]
         if len(listed) > 1:
-            k = solver.coefficients(solver.equations(networks[0], first))
+            if known is None:
+                k = solver.coefficients(solver.equations(networks[0], first))
+            else:
+                k = known(solver.fit(networks[0], first)).k
             errors = [
                 np.asarray(patterns.torque) - torque_of(some, patterns, k)
                 for some, patterns in zip(networks[1:], listed[1:], strict=True)

@@ -137,6 +137,64 @@ class TestDetermined:
             assert change / step == pytest.approx(share[index], abs=1e-4)
 
 
+@pytest.fixture(scope="module")
+def wider(robot: jc.Manipulator) -> jc.CSLC:
+    terms = ("viscous", "dry", "offset")
+    return jc.derive(robot.with_friction(*terms), lengths="numeric")
+
+
+@pytest.fixture(scope="module")
+def shifted(network: jc.CSLC) -> jc.Patterns:
+    """Slow motion with torque offsets and Coulomb friction [N m]."""
+    some = patterns_of(network, "slow")
+    offsets = np.array([2.0, -3.0, 1.5, 0.3, -0.4, 0.2])
+    dry = np.array([3.0, 3.0, 2.0, 0.5, 0.5, 0.3]) * np.sign(np.asarray(some.qd))
+    return dataclasses.replace(some, torque=some.torque + offsets + dry)
+
+
+class TestOffsets:
+    """Torque offsets of a UR5 with friction, which weak motion does not tell from gravity."""
+
+    def test_an_offset_is_as_large_as_dry_friction_and_noise(
+        self, wider: jc.CSLC, shifted: jc.Patterns
+    ) -> None:
+        fit = jc.LeastSquares().fit(wider, shifted)
+        k, error = np.asarray(fit.k), np.asarray(fit.torque_error)
+        dry, offset = (
+            [wider.names.index(f"{kind}{joint}") for joint in range(1, 7)] for kind in ("kd", "ko")
+        )
+        covariance = prior_of(wider).of_fit(wider, fit).covariance
+        expected = k[dry] ** 2 + error**2
+        assert_allclose(np.diag(covariance)[offset], expected, rtol=1e-12)
+        assert_allclose(np.diag(covariance)[dry], 0.0)
+
+    def test_torques_of_other_motion_are_better_with_them(
+        self, network: jc.CSLC, wider: jc.CSLC, shifted: jc.Patterns
+    ) -> None:
+        model = model_of("ur5", False)
+        other = moved(np.random.default_rng(7), model, "rich")
+        expected = torque_of(model, other)
+        errors: list[np.ndarray] = []
+        for some in (jc.derive(network.robot.with_friction("viscous", "dry")), wider):
+            fit = jc.LeastSquares().fit(some, shifted)
+            informed = with_knowledge(fit, {}, prior_of(some).of_fit(some, fit).rows)
+            rigid = np.where(prior_of(some).inertial, informed.k, 0.0)
+            error = np.asarray(some.torque(rigid, *other)) - expected
+            errors.append(np.sqrt(np.mean(error**2, axis=0)))
+        without, within = errors
+        assert np.all(within[1:4] < without[1:4] / 2.0)
+
+    def test_another_network_has_them_by_name(
+        self, robot: jc.Manipulator, wider: jc.CSLC, shifted: jc.Patterns
+    ) -> None:
+        prior = prior_of(wider).of_fit(wider, jc.LeastSquares().fit(wider, shifted))
+        more = jc.derive(robot.with_friction("viscous", "dry", "quadratic", "offset"))
+        there = prior.of_names(more.names)
+        known = dict(zip(prior.coefficients, np.diag(prior.covariance), strict=True))
+        expected = [known.get(name, 0.0) for name in more.names]
+        assert_allclose(np.diag(there.covariance), expected)
+
+
 class TestWrongFiles:
     @pytest.mark.parametrize("file", ["half masses", "double masses"])
     def test_masses_that_the_data_contradict_are_named(self, network: jc.CSLC, file: str) -> None:

@@ -4,9 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.bodies import FilePrior, Misfit, misfit_of
+from jaxcslc.bodies._misfit import _splits
 from scripts.studies.file_prior.study import NOISE, ROBOTS, model_of, moved, torque_of
 
 
@@ -42,6 +44,24 @@ def test_white_noise_and_a_right_file_are_no_misfit(
     network: jc.CSLC, patterns: jc.Patterns
 ) -> None:
     assert misfit(network, patterns) == Misfit()
+
+
+def test_halves_have_the_weights_and_the_noise_of_the_whole(network: jc.CSLC) -> None:
+    """Covariances of fits to halves, written out, where the late half has ten times the noise."""
+    some = recorded("rich")
+    late = (np.arange(some.samples) >= some.samples // 2)[:, None]
+    noise = np.random.default_rng(5).standard_normal(np.shape(some.torque))
+    torque = some.torque + 0.5 * np.where(late, 1.0, 0.1) * noise
+    patterns = dataclasses.replace(some, torque=torque)
+    solver = jc.LeastSquares(errors="independent")
+    fit = solver.fit(network, patterns)
+    regressor = np.asarray(network.regressor(patterns.q, patterns.qd, patterns.qdd))
+    weighted = regressor / np.asarray(fit.torque_error)[:, None]
+    *_, of_early, of_late = _splits(network, patterns, solver, fit)
+    for split, half in ((of_early, ~late), (of_late, late)):
+        rows = weighted[half[:, 0]].reshape(-1, network.size)
+        error = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
+        assert_allclose(np.sqrt(np.diag(split.near.covariance)), error, rtol=0.02)
 
 
 class TestFaults:

@@ -69,6 +69,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--arms", nargs="+", default=list(ARMS), help="some of them")
     parser.add_argument("--motions", nargs="+", default=[*MOTIONS, "rich"], help="some of them")
     parser.add_argument("--files", nargs="+", default=list(FILES[1:]), help="some of them")
+    parser.add_argument(
+        "--offset", type=float, default=0.0, help="torque offsets, in joints' Coulomb friction"
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     command.add_seeds(parser, 2)
     options = command.parse(
@@ -79,7 +82,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command.require_some_of(parser, "motion", options.motions, (*MOTIONS, "rich"))
     command.require_some_of(parser, "file", options.files, FILES)
     keys = ("arm", "motion", "file", "seed")
-    rows = Rows(options.output / "rows.jsonl", keys, made_of({}, [Path(__file__)]))
+    rows = Rows(
+        options.output / "rows.jsonl", keys, made_of({"offset": options.offset}, [Path(__file__)])
+    )
     jobs = list(product(options.arms, options.motions, options.files, command.seeds_of(options)))
     missing = [job for job in jobs if job not in rows]
     return command.run(
@@ -92,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _study(rows: Rows, jobs: list[Any], missing: list[Any], options: Any) -> int:
     with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
-        jobs_of = {pool.submit(judged, *job): job for job in missing}
+        jobs_of = {pool.submit(judged, *job, offset=options.offset): job for job in missing}
         for done in command.progress(as_completed(jobs_of), total=len(missing), desc="fits"):
             names = zip(("arm", "motion", "file", "seed"), jobs_of[done], strict=True)
             rows.add(dict(names) | done.result())
@@ -103,8 +108,11 @@ def _study(rows: Rows, jobs: list[Any], missing: list[Any], options: Any) -> int
     return 0
 
 
-def judged(arm: str, motion: str, file: str, seed: int) -> dict[str, Any]:
-    """One recording, fitted with and without the file."""
+def judged(arm: str, motion: str, file: str, seed: int, offset: float = 0.0) -> dict[str, Any]:
+    """One recording, fitted with and without the file.
+
+    - `offset`: standard deviation of torque offsets, as a part of each joint's Coulomb friction.
+    """
     jc.enable_x64()
     rng = np.random.default_rng([seed, MOTIONS.index(motion) if motion in MOTIONS else 99])
     robot = jc.load_robot(ROBOTS / f"{arm}.urdf")
@@ -119,6 +127,7 @@ def judged(arm: str, motion: str, file: str, seed: int) -> dict[str, Any]:
     time = np.arange(len(states[0])) / RATE
     rigid = torque_of(model, states)
     friction = viscous * states[1] + dry * np.tanh(states[1] / 0.002)
+    friction += offset * dry * np.random.default_rng([seed, 5]).standard_normal(n)
     noise = NOISE * size * rng.standard_normal(rigid.shape)
     position = STEP * np.floor(states[0] / STEP + rng.uniform(size=n))
     recording = jc.Recording(time, position, rigid + friction + noise)
@@ -171,7 +180,10 @@ def judged(arm: str, motion: str, file: str, seed: int) -> dict[str, Any]:
 
 
 def _fit(network: jc.CSLC, recording: jc.Recording, use: bool) -> jc.Report:
-    return jc.identify(network, recording, checks=False, file_prior=use, progress=False)
+    """The fit of the command's defaults."""
+    return jc.identify(
+        network, recording, friction="offset", checks=False, file_prior=use, progress=False
+    )
 
 
 def moved(rng: np.random.Generator, model: Any, motion: str) -> Motion:
