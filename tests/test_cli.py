@@ -40,7 +40,7 @@ class TestIdentify:
     def test_prints_coefficients_and_errors(self, identified: tuple[Result, Path]) -> None:
         result, _ = identified
         assert result.exit_code == 0, result.output
-        for text in ("settings: ", "kM26", "kd6", "determined", "rank 43 of 43", "RMS error"):
+        for text in ("settings: ", "kM26", "kd6", "determined", "rank 49 of 49", "RMS error"):
             assert text in result.output
 
     def test_writes_what_a_user_goes_on_with(self, identified: tuple[Result, Path]) -> None:
@@ -52,8 +52,8 @@ class TestIdentify:
             *("errors_validation.csv", "torque_validation.csv"),
         }
         document = json.loads((output / "identification.json").read_text())
-        assert len(document["k"]) == len(document["names"]) == 43
-        assert np.shape(document["covariance"]) == (43, 43)
+        assert len(document["k"]) == len(document["names"]) == 49
+        assert np.shape(document["covariance"]) == (49, 49)
         rms = np.array(document["torque_error_rms"]["validation"])
         assert np.all(rms < [1.0, 1.5, 0.8, 0.3, 0.3, 0.3])
         for name in ("training", "validation"):
@@ -195,7 +195,7 @@ class TestReidentify:
         _, _, messages = compared.verdict
         texts = [message.text for message in messages]
         assert any("of 12 coefficients differ" in text for text in texts)
-        assert any(text.startswith("31 coefficients were not tested") for text in texts)
+        assert any(text.startswith("37 coefficients were not tested") for text in texts)
         assert not any("cannot be compared" in text for text in texts)
 
     @pytest.mark.parametrize(

@@ -112,6 +112,7 @@ def judged(arm: str, motion: str, file: str, seed: int, offset: float = 0.0) -> 
     """One recording, fitted with and without the file.
 
     - `offset`: standard deviation of torque offsets, as a part of each joint's Coulomb friction.
+      With such, offsets are identified as the command does by default.
     """
     jc.enable_x64()
     rng = np.random.default_rng([seed, MOTIONS.index(motion) if motion in MOTIONS else 99])
@@ -139,7 +140,7 @@ def judged(arm: str, motion: str, file: str, seed: int, offset: float = 0.0) -> 
     new = moved(np.random.default_rng(seed + 10_000), model, "rich")
     expected = torque_of(model, new)
     try:
-        fits = {use: _fit(network, recording, use) for use in (True, False)}
+        fits = {use: _fit(network, recording, use, offset > 0.0) for use in (True, False)}
     except RuntimeError as failure:
         return {"failed": str(failure).split("\n")[0]}
 
@@ -179,10 +180,14 @@ def judged(arm: str, motion: str, file: str, seed: int, offset: float = 0.0) -> 
     }
 
 
-def _fit(network: jc.CSLC, recording: jc.Recording, use: bool) -> jc.Report:
-    """The fit of the command's defaults."""
+def _fit(network: jc.CSLC, recording: jc.Recording, use: bool, offsets: bool) -> jc.Report:
     return jc.identify(
-        network, recording, friction="offset", checks=False, file_prior=use, progress=False
+        network,
+        recording,
+        friction="offset" if offsets else None,
+        checks=False,
+        file_prior=use,
+        progress=False,
     )
 
 

@@ -163,6 +163,9 @@ def _note(report: jc.Report) -> str:
     bodies = found.get("possible", {}).get("possible", {}).get("used", False)
     trials = found.get("friction", {}).get("friction_trials", ())
     added = [f"{trial['kind']} at joint {trial['joint']}" for trial in trials if trial["used"]]
+    offsets = ["offset" in kinds for kinds in report.network.friction_per_joint]
+    if all(offsets) and "file_prior" in found:
+        added.insert(0, "offset at all joints")
     return "; ".join(
         (
             f"{estimator}{', physically consistent parameters' if bodies else ''}",

@@ -46,12 +46,14 @@ The recordings are not part of this repository; `--data` names the folder that h
 has position servos and no torque signal. [Its figures](servo_evidence.md#a-real-so-101) are errors
 of simulated positions.
 
-These are no blind tests. Three rules of `identify` were chosen after errors on these recordings had
+These are no blind tests. Five rules of `identify` were chosen after errors on these recordings had
 been seen:
 
 - the odds of one in five at which physically consistent parameters are used (KR300);
 - the [friction at standstill](friction.md#joints-at-standstill) (KR300);
-- weights by residual with the file as prior (LWR4+).
+- weights by residual with the file as prior (LWR4+);
+- torque offsets of all joints, with the file as prior (LWR4+);
+- the noise of halves of a recording, by which the file's strength is found (LWR4+).
 
 ## Where it loses
 
