@@ -1,12 +1,15 @@
 """Friction terms chosen joint by joint on motion that was left out."""
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
 
 import jaxcslc as jc
+from jaxcslc.manipulator import LinkParameters
 from jaxcslc.selection import FrictionChoice, FrictionTrial, choose_friction
 from jaxcslc.selection._friction import _best, _Judge
 from jaxcslc.uncertainty import RelativeError
@@ -244,6 +247,21 @@ class TestOffsets:
         assert fits[0].network.names == fits[1].network.names
         assert np.array_equal(fits[0].k, fits[1].k)
         assert fits[0].friction is not None and fits[0].friction.sentences == ()
+
+    @pytest.mark.parametrize("friction", ["offset", "auto"])
+    def test_all_joints_have_one_where_the_file_has_masses(
+        self, friction: Literal["offset", "auto"]
+    ) -> None:
+        link = LinkParameters(1.0, np.array([0.2, 0.1, 0.0]), 0.02 * np.eye(3))
+        robot = dataclasses.replace(arm(), links=(link, link))
+        network = jc.derive(robot, lengths="numeric")
+        swings = recording(network, (TRUE[0], ("viscous", "dry")))
+        report = jc.identify(
+            network, swings, settings=jc.Settings(), friction=friction, checks=False
+        )
+        assert all("offset" in kinds for kinds in report.network.friction_per_joint)
+        k = dict(zip(report.network.names, np.asarray(report.k).tolist(), strict=True))
+        assert abs(k["ko1"] - 0.5) < 0.05 and abs(k["ko2"]) < 0.05
 
     def test_the_command_tries_it_unless_terms_are_named(self, tmp_path: Path) -> None:
         robot = tmp_path / "pendulum.toml"
