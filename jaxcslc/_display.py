@@ -2,6 +2,7 @@
 
 import contextlib
 import html
+import multiprocessing
 import sys
 import warnings
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -11,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ._environment import require
+from ._text_table import number_text
 
 
 # Points of a curve that a chart draws at most: more than a screen has columns.
@@ -26,11 +28,25 @@ def html_table(title: str, columns: Mapping[str, Sequence[Any] | np.ndarray]) ->
 <td>0.5123</td></tr></table>'
     """
     rows = [columns.keys(), *zip(*columns.values(), strict=True)]
-    cells = [[html.escape(x if isinstance(x, str) else f"{x:.4g}") for x in row] for row in rows]
+    cells = [
+        [html.escape(x if isinstance(x, str) else number_text(float(x))) for x in row]
+        for row in rows
+    ]
     lines = ["".join(f"<th>{cell}</th>" for cell in cells[0])]
     lines += ["".join(f"<td>{cell}</td>" for cell in row) for row in cells[1:]]
     table = "".join(f"<tr>{line}</tr>" for line in lines)
     return f"<p><b>{html.escape(title)}</b></p><table>{table}</table>"
+
+
+def html_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return a title and a table as `html_table` does, of rows with the same columns.
+
+    >>> import math
+    >>> html_rows("fit", [{"name": "kB1", "value": math.inf}])
+    '<p><b>fit</b></p><table><tr><th>name</th><th>value</th></tr><tr><td>kB1</td>\
+<td>∞</td></tr></table>'
+    """
+    return html_table(title, {name: [row[name] for row in rows] for name in (rows or [{}])[0]})
 
 
 def curve_figure(
@@ -98,7 +114,31 @@ def _legend(name: str, number: int, row: int) -> dict[str, Any]:
     }
 
 
+def html_of(shown: Any) -> str:
+    """Return how a notebook shows an object of this package."""
+    return shown._repr_html_()
+
+
 Progress = Callable[[str], None] | bool | None
+
+
+def is_watched() -> bool:
+    """Return whether somebody watches: in a notebook, at Python's prompt, or on a terminal.
+
+    Workers of a pool are not watched: their lines would overwrite each other.
+    """
+    if multiprocessing.parent_process() is not None:
+        return False
+    return hasattr(sys, "ps1") or (sys.stderr is not None and sys.stderr.isatty())
+
+
+def progress_bar(**options: Any) -> Any:
+    """Return a bar of `tqdm`: a widget in notebooks, elsewhere a line on standard error."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="IProgress")  # tqdm then writes text
+        from tqdm.auto import tqdm
+
+        return tqdm(**options)
 
 
 @contextlib.contextmanager
@@ -106,8 +146,8 @@ def steps(progress: Progress, title: str) -> Generator[Callable[[str], None]]:
     """Yield a function to be called with a few words at the start of each step.
 
     - `progress`: such a function itself; True shows steps in a line of `tqdm`, which disappears at
-      the end; False shows none; None shows them in notebooks and at Python's prompt, and none in
-      programs. The environment variable `TQDM_DISABLE=1` turns all such lines off.
+      the end; False shows none; None shows them where somebody watches (`is_watched`). The
+      environment variable `TQDM_DISABLE=1` turns all such lines off.
     - `title`: what is computed.
 
     >>> with steps(print, "identify") as step:
@@ -116,13 +156,8 @@ def steps(progress: Progress, title: str) -> Generator[Callable[[str], None]]:
     """
     if callable(progress):
         yield progress
-    elif progress or (progress is None and hasattr(sys, "ps1")):
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="IProgress")  # tqdm then writes text
-            from tqdm.auto import tqdm
-
-            bar = tqdm(desc=title, bar_format="{desc} ({elapsed})", leave=False)
-        with bar:
+    elif progress or (progress is None and is_watched()):
+        with progress_bar(desc=title, bar_format="{desc} ({elapsed})", leave=False) as bar:
             yield lambda words: bar.set_description_str(f"{title}: {words}")
     else:
         yield lambda words: None

@@ -25,6 +25,26 @@ def number_text(value: float, digits: int = 4) -> str:
     return f"{value:.{digits}g}"
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number and its noun.
+
+    >>> counted(1, "joint"), counted(6, "joint")
+    ('1 joint', '6 joints')
+    """
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def readable(expression: str) -> str:
+    """Return an expression to read: three digits per number, no signs of multiplication.
+
+    >>> readable("Ixx2 + 0.17327300000157975*m4 - 1e-05*m3*rz3 + m2*rx2**2")
+    'Ixx2 + 0.173 m4 - 1e-05 m3 rz3 + m2 rx2²'
+    """
+    number = r"(?<![\w.])\d+\.?\d*(?:e[+-]?\d+)?"
+    text = re.sub(number, lambda found: f"{float(found[0]):.3g}", expression.replace("**2", "²"))
+    return re.sub(r"(?<!\*)\*(?!\*)", " ", text)
+
+
 def text_table(
     header: Sequence[str], rows: Sequence[Sequence[str]], *, left: Sequence[str] = ()
 ) -> str:

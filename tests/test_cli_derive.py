@@ -48,7 +48,7 @@ def test_a_urdf_with_what_its_file_has_no_words_for(tmp_path: Path) -> None:
         assert name in result.output
     assert "kd1" not in result.output
     part = run("derive", path, "--tip", "bar")
-    assert "arm: 1 joints" in part.output
+    assert "arm: 1 joint," in part.output
     for pair in ("one,two", "inf,2", "1.5,2", "1"):
         wrong = run("derive", path, "--coupled", pair)
         assert wrong.exit_code == 2

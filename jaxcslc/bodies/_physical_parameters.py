@@ -12,7 +12,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from .._display import html_rows
 from .._environment import require
+from .._text_table import counted
 from ..least_squares import masked_rms, torque_of
 from ..manipulator import TENSOR_ENTRIES, LinkParameters, Manipulator, seen_from
 from ..network import CSLC
@@ -105,9 +107,14 @@ class PhysicalParameters:
         measured = not np.all(np.isnan(self.torque_distance))
         change = f", torque changed by [{torque}]" if measured else ""
         return (
-            f"PhysicalParameters({len(self.links)} links of [{masses}] kg,"
+            f"PhysicalParameters({counted(len(self.links), 'link')} of [{masses}] kg,"
             f" {self.distance:.3g} standard errors from the fit{change})"
         )
+
+    def _repr_html_(self) -> str:
+        """Return a table of the bodies in SI units, for notebooks."""
+        pairs = zip(self.body_names, self.bodies, strict=True)
+        return html_rows(repr(self), [{"body": name} | _row(body) for name, body in pairs])
 
 
 def physical_parameters(

@@ -4,12 +4,14 @@
 """
 
 import dataclasses
+import html
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .._display import html_of
 from .._environment import MissingExtraError
 from ..least_squares import (
     FoldFit,
@@ -287,6 +289,15 @@ class PossibleFit:
                 for name, body in links
             ],
         }
+
+    def __repr__(self) -> str:
+        used = "physically consistent" if self.used else "unconstrained"
+        change = RelativeError(self.change, self.change_error, 0)
+        return f"PossibleFit({used} coefficients used; held-out error {change}; {self.parameters})"
+
+    def _repr_html_(self) -> str:
+        """Return a table of the bodies, for notebooks."""
+        return f"<p>{html.escape(repr(self))}</p>{html_of(self.parameters)}"
 
     def __str__(self) -> str:
         return possible_text(self.document())

@@ -375,8 +375,8 @@ def identify(
       recording, or of the longest training recording. `report.horizon` has the position errors
       after 0.1 to 5 s, also of the robot's file and of the fit with pre-sliding states.
     - `progress`: a function that is called with a few words at the start of each step; or True to
-      show the steps in a line, False to show none. By default they are shown in notebooks and at
-      Python's prompt, but not in programs. `TQDM_DISABLE=1` turns them off everywhere.
+      show the steps in a line, False to show none. By default they are shown in notebooks, at
+      Python's prompt and on terminals. `TQDM_DISABLE=1` turns them off everywhere.
 
     **Returns** a `Report`.
 

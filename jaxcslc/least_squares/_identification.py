@@ -17,6 +17,7 @@ from .._display import html_table
 from .._environment import array_namespace, as_jax, require
 from .._plain_data import plain
 from .._scratch import unfinished
+from .._text_table import counted
 from ._columns import untraced
 
 
@@ -356,11 +357,13 @@ class Identification(eqx.Module):
 
     def __repr__(self) -> str:
         if isinstance(self.k, Tracer) or self.k.ndim != 1:
-            return f"Identification({len(self.names)} coefficients, batch {self.k.shape[:-1]})"
+            count = counted(len(self.names), "coefficient")
+            return f"Identification({count}, batch {self.k.shape[:-1]})"
         rms = ", ".join(f"{value:.3g}" for value in np.asarray(self.torque_error))
         return (
-            f"Identification({len(self.names)} coefficients, rank {int(self.rank)}, condition"
-            f" {float(self.condition):.3g}, torque error per joint [{rms}], errors {self.errors})"
+            f"Identification({counted(len(self.names), 'coefficient')}, rank {int(self.rank)},"
+            f" condition {float(self.condition):.3g}, torque error per joint [{rms}],"
+            f" errors {self.errors})"
         )
 
     def _repr_html_(self) -> str:

@@ -232,6 +232,9 @@ class Settings:
             )
         return sentences
 
+    def __repr__(self) -> str:
+        return f"Settings({self})"
+
     def __str__(self) -> str:
         return f"{self.preparation.description}, {self.solver.description}"
 

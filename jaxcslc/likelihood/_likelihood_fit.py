@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Bool, Float, Int
 
+from .._display import html_of, html_table
 from .._environment import as_jax
 from .._processes import over_chunks
 from ..bodies import PhysicalParameters
@@ -479,8 +480,15 @@ class LikelihoodFit(eqx.Module):
         )
         ended = "converged" if self.converged else "did not converge"
         return (
-            f"LikelihoodFit({ended} after {self.steps} steps; torque noise [{noise}]; {self.fit})"
+            f"LikelihoodFit({ended} after {self.steps} steps; torque noise [{noise}]; {self.fit!r})"
         )
+
+    def _repr_html_(self) -> str:
+        """Return tables of the torque noise and of the coefficients, for notebooks."""
+        joints = {"joint": self.network.output_labels}
+        noise = {f"recording {i + 1}": levels for i, levels in enumerate(self.torque_noise)}
+        title = "LikelihoodFit: standard deviation of the torque noise [N m or N]"
+        return html_table(title, {**joints, **noise}) + html_of(self.fit)
 
 
 @dataclasses.dataclass(frozen=True)

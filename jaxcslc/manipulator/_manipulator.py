@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from .._display import html_table
 from .._environment import require
-from .._text_table import text_table
+from .._text_table import counted, text_table
 from ._friction import (
     FRICTION_TERMS,
     Coupling,
@@ -550,8 +550,8 @@ class Manipulator:
         links = "known links" if self.links is not None else "unknown links"
         carried = "" if self.parents == tuple(range(-1, self.joint_count - 1)) else ", a tree"
         return (
-            f"Manipulator({self.name!r}: {self.joint_count} joints {self.kinds}{carried},"
-            f" {links}, friction {' '.join(self.friction) or 'none'})"
+            f"Manipulator({self.name!r}: {counted(self.joint_count, 'joint')} {self.kinds}"
+            f"{carried}, {links}, friction {' '.join(self.friction) or 'none'})"
         )
 
     def length_values(self) -> dict[str, float]:

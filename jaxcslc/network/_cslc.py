@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._display import html_of
+from .._text_table import counted
 from ..codegen import Motion, Value
 from ..derivation import Algebra, Lengths, constant_values, derive_algebra
 from ..manipulator import JointLimits, LinkParameters, Manipulator, RobotError
@@ -540,9 +542,14 @@ class CSLC(AbstractLinearNetwork):
         groups = [coefficient.group for coefficient in self.coefficients]
         sizes = ", ".join(f"{groups.count(group)} {group}" for group in self.layout.groups)
         return (
-            f"CSLC({self.robot.name}: {self.joint_count} joints, {self.size} coefficients:"
+            f"CSLC({self.robot.name}: {counted(self.joint_count, 'joint')},"
+            f" {counted(self.size, 'coefficient')}:"
             f" {sizes}; {type(self.rigid_body).__name__})"
         )
+
+    def _repr_html_(self) -> str:
+        """Return tables of the joints and of the coefficients, for notebooks."""
+        return html_of(self.robot) + super()._repr_html_()
 
 
 def _rigid_body_counts(algebra: Algebra) -> dict[str, dict[str, int]]:

@@ -18,8 +18,10 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from .._display import html_rows
 from .._environment import array_namespace, require_float64
 from .._rank import numerical_rank
+from .._text_table import readable
 from ..derivation import Coefficient
 from ._layout import Layout, term_layout
 from .terms import AbstractTerm
@@ -188,6 +190,14 @@ class AbstractLinearNetwork(eqx.Module):
     def known_values(self) -> Mapping[str, float]:
         """Values of the coefficients that are numbers, by name; `LeastSquares` keeps them."""
         return {}
+
+    def _repr_html_(self) -> str:
+        """Return a table of the coefficients, for notebooks."""
+        rows = [
+            {"coefficient": x.name, "unit": x.unit, "expression": readable(x.expression)}
+            for x in self.coefficients
+        ]
+        return html_rows(repr(self), rows)
 
     def torque(self, k: Vector, q: Motion, qd: Motion, qdd: Motion) -> Float[Array, "..."]:
         """Return the output of the network, (..., n): for a robot, every joint's torque [N m].

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._display import html_of, html_rows, html_table
 from .._text_table import text_table
 from ..bodies import body_of, link_of, nearest_body
 from ..identification import recording_named
@@ -188,6 +189,10 @@ class PayloadFit(eqx.Module):
         )
         return f"PayloadFit({value[0]:.4g} ± {error[0]:.2g} kg, centre [{centre}] mm)"
 
+    def _repr_html_(self) -> str:
+        """Return a table of mass, centre of gravity and inertia, for notebooks."""
+        return html_rows(repr(self), self.rows())
+
 
 @jax.jit
 def _physical(body: Float[Array, "10"]) -> Float[Array, "10"]:
@@ -337,6 +342,16 @@ class PayloadReport:
                 },
             )
         return folder / "payload.csv", folder / "payload.json"
+
+    def __repr__(self) -> str:
+        return f"PayloadReport of {self.network.robot.name}. {self.fit}"
+
+    def _repr_html_(self) -> str:
+        """Return tables of the payload and of the torque errors, for notebooks."""
+        errors = dict(zip(self.errors.names, self.errors.rms, strict=True))
+        title = "RMS torque error [N m or N] with and without the payload"
+        table = html_table(title, {"joint": self.network.output_labels, **errors})
+        return html_of(self.fit) + table
 
     def __str__(self) -> str:
         names = ["value", "low", "high", "possible"]

@@ -11,6 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Bool, Float
 
 from .._display import html_table
+from .._text_table import counted
 from ._clock import TorqueAlignment, align_torque
 from ._masks import (
     STATIC_FRICTION_PART,
@@ -85,7 +86,7 @@ class Patterns(eqx.Module):
         if isinstance(self.mask, Tracer) or self.mask.ndim != 2:
             return f"Patterns(of shape {self.torque.shape})"
         return (
-            f"Patterns({self.samples} samples of {self.joints} joints,"
+            f"Patterns({self.samples} samples of {counted(self.joints, 'joint')},"
             f" {100 * float(np.mean(self.mask)):.3g} % of the pairs fitted)"
         )
 

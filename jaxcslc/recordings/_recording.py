@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from .._display import curve_figure, html_table
+from .._text_table import counted
 
 
 Samples: TypeAlias = Float[np.ndarray, " samples"]
@@ -313,8 +314,8 @@ class Recording(eqx.Module):
     def __repr__(self) -> str:
         duration = float(self.time[-1] - self.time[0])
         return (
-            f"Recording({self.samples} samples of {self.joints} joints, {duration:.4g} s,"
-            f" {1.0 / float(np.median(np.diff(self.time))):.4g} Hz)"
+            f"Recording({self.samples} samples of {counted(self.joints, 'joint')},"
+            f" {duration:.4g} s, {1.0 / float(np.median(np.diff(self.time))):.4g} Hz)"
         )
 
     def _repr_html_(self) -> str:

@@ -64,6 +64,7 @@ from ._page import (
     Table as Table,
     Tone as Tone,
     Value as Value,
+    notebook_frame as notebook_frame,
     render as render,
 )
 from ._report import (

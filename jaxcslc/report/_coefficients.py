@@ -1,7 +1,6 @@
 """Coefficients in reports: description of their model, verdicts, and the table for text and CSV."""
 
 import dataclasses
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from textwrap import fill
@@ -10,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._text_table import number_text, text_table
+from .._text_table import counted, number_text, readable, text_table
 from ..bodies import DECIDED
 from ..derivation import Coefficient
 from ..least_squares import Identification
@@ -149,7 +148,8 @@ def model_lines(network: CSLC) -> list[str]:
     robot, groups = network.robot, [coefficient.group for coefficient in network.coefficients]
     sizes = ", ".join(f"{groups.count(group)} {group}" for group in network.layout.groups)
     size = (
-        f"robot {robot.name}: {network.joint_count} joints, {network.size} coefficients ({sizes})"
+        f"robot {robot.name}: {counted(network.joint_count, 'joint')},"
+        f" {counted(network.size, 'coefficient')} ({sizes})"
     )
     if not robot.has_joint_names:
         return [size]
@@ -185,17 +185,6 @@ def expression_legend(network: CSLC) -> str:
         f" inertia about {about}, Imi motor inertia, in the link's modified Denavit-Hartenberg"
         " frame: z along the axis of joint i, x along the common normal to the next axis"
     )
-
-
-def readable(expression: str) -> str:
-    """Return an expression to read: three digits per number, no signs of multiplication.
-
-    >>> readable("Ixx2 + 0.17327300000157975*m4 - 1e-05*m3*rz3 + m2*rx2**2")
-    'Ixx2 + 0.173 m4 - 1e-05 m3 rz3 + m2 rx2²'
-    """
-    number = r"(?<![\w.])\d+\.?\d*(?:e[+-]?\d+)?"
-    text = re.sub(number, lambda found: f"{float(found[0]):.3g}", expression.replace("**2", "²"))
-    return re.sub(r"(?<!\*)\*(?!\*)", " ", text)
 
 
 def legend_text(legend: str) -> str:

@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+import html
 import importlib.util
 import itertools
 import math
@@ -373,6 +374,12 @@ def render(page: Page) -> str:
         charts=charts,
         number=itertools.count(1).__next__,
     )
+
+
+def notebook_frame(page: Page) -> str:
+    """Return a page as notebooks show it: in a frame of its own, below other output."""
+    text = html.escape(render(page))
+    return f'<iframe srcdoc="{text}" style="width: 100%; height: 40em; border: 0"></iframe>'
 
 
 def _has_chart(blocks: Sequence[AbstractBlock]) -> bool:

@@ -7,7 +7,6 @@ the order of sections, and how reports are written. `load_report` reads them bac
 import abc
 import copy
 import dataclasses
-import html
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -28,7 +27,7 @@ from ._charts import Panel, PanelChart
 from ._coefficients import CoefficientRow, ModelDescription, coefficient_rows
 from ._errors import predicted_torque
 from ._files import identification_file, read_files, saved_network, write_report
-from ._page import Message, Page, Section, Tone, render
+from ._page import Message, Page, Section, Tone, notebook_frame
 from ._section import IDENTIFICATION, AbstractSection, counted
 from .sections import SECTIONS, curve_chart
 
@@ -385,8 +384,7 @@ class AbstractReport(abc.ABC, Generic[N]):
 
     def _repr_html_(self) -> str:
         """Return the page without drawings, for notebooks."""
-        text = html.escape(render(self.page(charts=False)))
-        return f'<iframe srcdoc="{text}" style="width: 100%; height: 40em; border: 0"></iframe>'
+        return notebook_frame(self.page(charts=False))
 
 
 class Report(AbstractReport[CSLC]):

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from .._plain_data import plain
+from .._text_table import counted as counted
 from ._page import Message, Section
 
 
@@ -147,15 +148,6 @@ def open_errors(value: Any) -> Any:
         name: float("inf") if entry is None and name.endswith("error") else open_errors(entry)
         for name, entry in value.items()
     }
-
-
-def counted(number: int, noun: str) -> str:
-    """Return a number and its noun.
-
-    >>> counted(1, "joint"), counted(6, "joint")
-    ('1 joint', '6 joints')
-    """
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def listed(names: Sequence[str]) -> str:

@@ -21,7 +21,8 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float
 
-from .._display import Progress, steps as progress_steps
+from .._display import Progress, html_rows, steps as progress_steps
+from .._text_table import counted
 from ..manipulator import LinkParameters, Manipulator
 from ..recordings import encoder_resolution
 from ._base import base_motion
@@ -100,6 +101,30 @@ class ServoFit:
     confounded: tuple[ConfoundedParameters, ...] = ()
     notes: tuple[str, ...] = ()
     currents: tuple[CurrentGain, ...] = ()
+
+    def __repr__(self) -> str:
+        determined = sum(parameter.is_determined for parameter in self.parameters)
+        torques = "determined" if self.units == "torque" else "those of the file's masses"
+        return (
+            f"ServoFit({self.robot.name}: {counted(len(self.drives), 'servo')}, {determined} of"
+            f" {counted(len(self.parameters), 'parameter')} determined; torques {torques})"
+        )
+
+    def _repr_html_(self) -> str:
+        """Return a table of the estimated parameters with 95 % intervals, for notebooks."""
+        rows = [
+            {
+                "joint": self.robot.joint_names[x.joint],
+                "parameter": x.name,
+                "value": x.value,
+                "unit": x.unit,
+                "from": x.low,
+                "to (95 %)": x.high,
+                "determined": "yes" if x.is_determined else "no",
+            }
+            for x in self.parameters
+        ]
+        return html_rows(repr(self), rows)
 
     def parameter(self, joint: int, name: str) -> ServoParameter:
         """Return one estimate.

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
+from .._text_table import counted
 from ..recordings import as_float, check_quantities
 
 
@@ -136,8 +137,7 @@ class ServoRecording:
 
     def __repr__(self) -> str:
         duration = float(self.time[-1] - self.time[0])
-        joints = f"{self.joints} joint{'' if self.joints == 1 else 's'}"
         return (
-            f"ServoRecording({self.samples} samples of {joints}, {duration:.4g} s,"
-            f" {1.0 / float(np.median(np.diff(self.time))):.4g} Hz)"
+            f"ServoRecording({self.samples} samples of {counted(self.joints, 'joint')},"
+            f" {duration:.4g} s, {1.0 / float(np.median(np.diff(self.time))):.4g} Hz)"
         )

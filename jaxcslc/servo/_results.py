@@ -32,6 +32,7 @@ from ..report import (
     Value,
     all_or_nothing,
     envelope,
+    notebook_frame,
     render,
     rounded,
     write_csv,
@@ -247,6 +248,13 @@ class ServoReport:
             "notes": [*self.fit.notes, *self.notes],
         }
 
+    def __repr__(self) -> str:
+        return f"ServoReport of {self.fit.robot.name}. {self.headline}"
+
+    def _repr_html_(self) -> str:
+        """Return the page without drawings, for notebooks."""
+        return notebook_frame(self.page(charts=False))
+
     def __str__(self) -> str:
         rows = self.error_rows()
         kinds = list(self.compared())
@@ -299,8 +307,14 @@ class ServoReport:
             ],
         )
 
-    def page(self, command: str | None = None) -> Page:
-        """Return the report's page."""
+    def page(self, command: str | None = None, *, charts: bool = True) -> Page:
+        """Return the report's page.
+
+        **Arguments**
+
+        - `command`: that made the report.
+        - `charts`: whether it has drawings.
+        """
         rows = self.error_rows()
         kinds = list(self.compared())
         columns = (
@@ -355,14 +369,7 @@ class ServoReport:
                 ),
                 (parameters, Messages(tuple(messages), empty="Everything is determined.")),
             ),
-            Section(
-                "Positions",
-                "Measured and simulated positions over time, and their difference.",
-                tuple(
-                    Details(name, (self._chart(name, recording),))
-                    for name, recording in self.judged.items()
-                ),
-            ),
+            *(self._chart_sections() if charts else ()),
             *self._file_sections(command),
         ]
         return Page(
@@ -373,6 +380,18 @@ class ServoReport:
             (),
             tuple(sections),
         )
+
+    def _chart_sections(self) -> list[Section]:
+        return [
+            Section(
+                "Positions",
+                "Measured and simulated positions over time, and their difference.",
+                tuple(
+                    Details(name, (self._chart(name, recording),))
+                    for name, recording in self.judged.items()
+                ),
+            )
+        ]
 
     def _file_sections(self, command: str | None) -> list[Section]:
         sections: list[Section] = []

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._text_table import counted
 from ..derivation import Coefficient
 from ..network import AbstractLinearNetwork, AbstractTerm, content_hash
 from ._system import Formulas, System
@@ -214,9 +215,6 @@ class SystemNetwork(AbstractLinearNetwork):
         return max(self.order_per_joint)
 
     def __repr__(self) -> str:
-        def counted(number: int, noun: str) -> str:
-            return f"{number} {noun}{'s' * (number != 1)}"
-
         return (
             f"SystemNetwork({self.name}: {counted(self.joint_count, 'equation')},"
             f" {counted(self.motion_count, 'variable')}, {counted(self.size, 'coefficient')})"

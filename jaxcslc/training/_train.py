@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
-from tqdm import tqdm
 
+from .._display import is_watched, progress_bar
 from .._environment import platform_of, require_float64
 from .._scratch import unfinished
 from ._epoch import OUTCOMES, History, Training, TrainingState, epoch
@@ -151,7 +151,7 @@ def train(
     - `block`: how many trainings run side by side; what is best for memory and caches by default.
     - `checkpoint`: a file to save to after every chunk and to go on from if it is there. A run
       that is interrupted and resumed ends as it would have.
-    - `progress`: show a progress bar on standard error.
+    - `progress`: show a progress bar in notebooks, at Python's prompt and on terminals.
     - `throw`: raise if a single training diverged or stalled. Of many, read `outcome`.
 
     **Returns** a `Training`.
@@ -204,9 +204,8 @@ def train(
         state, records, passed = saved.load(state)
     if block is None:
         block = _block(network, training_set, plan, trainings or 1)
-    with tqdm(
-        total=epochs, initial=passed, unit="epoch", disable=None if progress else True
-    ) as bar:
+    shown = progress and is_watched()
+    with progress_bar(total=epochs, initial=passed, unit="epoch", disable=not shown) as bar:
         while passed < epochs and not bool(jnp.all(state.done)):
             count, rule = min(chunk, epochs - passed), None
             if plan.schedule.in_step:

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from jaxcslc._environment import as_jax
-from jaxcslc._text_table import number_text
+from jaxcslc._text_table import number_text, readable
 from jaxcslc.least_squares import Identification
 from jaxcslc.uncertainty import SHOWN_SCALE, TORQUE_SCALE, SystematicError
 
 from .._charts import MatrixChart
-from .._coefficients import WELL_DETERMINED, coefficient_text, legend_text, readable
+from .._coefficients import WELL_DETERMINED, coefficient_text, legend_text
 from .._excitation import Excitation
 from .._page import (
     AbstractBlock,
