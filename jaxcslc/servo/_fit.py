@@ -184,9 +184,7 @@ def identify_servo(
 
     The estimate is that of maximum likelihood of output errors: the drives whose simulation, open
     loop from the commands, is nearest to the measured positions. Its errors count what the model
-    leaves unexplained as correlated noise (sandwich estimate over blocks of seconds). Intervals of
-    encoder offsets are too narrow for arms whose gears have play: they hold the true value in about
-    two of three cases (`scripts/studies/servo`).
+    leaves unexplained as correlated noise (jackknife over blocks of seconds).
 
     **Arguments**
 
