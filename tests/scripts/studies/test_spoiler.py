@@ -1,11 +1,13 @@
 """The spoiler study: its arms are those of their files but for errors, and its faults do harm."""
 
 import csv
+import functools
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import jaxcslc as jc
 from scripts.studies.checks import spoiler
 from scripts.studies.checks.robots import Conditions, Fault, arm, record
 from scripts.studies.checks.spoilers import SPOILERS, spoilt
@@ -53,7 +55,11 @@ def test_faults_of_the_arm_show_where_they_are() -> None:
     assert np.all(stopped.qd[highest, 1] == 0.0)
 
 
-def test_table_and_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_table_and_rows(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With settings that are not selected."""
+    monkeypatch.setattr(jc, "identify", functools.partial(jc.identify, settings=jc.Settings()))
     options = ["--arms", "Z1", "--kinds", "sign of one torque", "--sizes", "gross"]
     assert spoiler.main([*options, "--clean", "1", "-o", str(tmp_path / "out")]) == 0
     with (tmp_path / "out" / "runs.csv").open() as file:

@@ -1,9 +1,12 @@
 """Pictures of the gallery are drawn by the code that the page shows."""
 
+import functools
 import re
 
 import matplotlib.pyplot as plt
+import pytest
 
+import jaxcslc as jc
 from scripts.tools.gallery import FOLDER, PAGE, blocks, figures
 
 
@@ -18,7 +21,10 @@ def test_twelve_pictures_each_with_its_code() -> None:
     assert all((FOLDER / f"{name}.png").stat().st_size < MOST for name in names)
 
 
-def test_some_are_drawn_as_they_stand() -> None:
+def test_some_are_drawn_as_they_stand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a report without selected settings: tests of the README and the tutorial select them."""
+    quick = functools.partial(jc.identify, settings=jc.Settings(), possible="never")
+    monkeypatch.setattr(jc, "identify", quick)
     plt.switch_backend("agg")
     names = ["measured-and-predicted-torque", "friction-of-a-joint", "gravity-torque"]
     drawn = {name: len(figure.axes) for name, figure in figures(names)}
