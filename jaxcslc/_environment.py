@@ -19,6 +19,17 @@ class MissingExtraError(ImportError):
     """A library that an extra of the package installs is needed and is not installed."""
 
 
+class ExplainedError(ValueError):
+    """A wrong value that a page of the documentation explains, other than its module's page.
+
+    - `page`: its name.
+    """
+
+    def __init__(self, text: str, page: str) -> None:
+        super().__init__(text)
+        self.page = page
+
+
 def require(module: str, extra: str) -> ModuleType:
     """Import a library that the base installation does not have.
 

@@ -1,6 +1,7 @@
 """Help of the command: groups of options, old names, defaults, errors of usage, completion."""
 
 import json
+import math
 import shutil
 import subprocess
 from pathlib import Path
@@ -134,6 +135,14 @@ def test_errors_name_the_page_of_what_they_are_about(tmp_path: Path) -> None:
     """One line each, by the module that found it; without one, the command's own page."""
     (tmp_path / "odd.csv").write_text("a,b\n1,2\n")
     (tmp_path / "limits.toml").write_text("joint = 1")
+    system = tmp_path / "system.toml"
+    system.write_text("[equations]\n")
+    (tmp_path / "arm.toml").write_text("gravity = [0, -9.81, 0]\n[[joint]]\n")
+    (tmp_path / "prior.toml").write_text("[links.1]\nmass = 1.0\n")
+    rows = [f"{0.01 * i},{math.sin(0.1 * i)},{math.cos(0.1 * i)}" for i in range(100)]
+    (tmp_path / "log.csv").write_text("\n".join(["time,q1,tau1", *rows]))
+    files = [str(tmp_path / name) for name in ("arm.toml", "log.csv")]
+    prior = ("--prior", str(tmp_path / "prior.toml"), "--physical", "never")
     pages = {
         ("check", "panda", "none.csv"): "recordings",
         ("check", "none.urdf", "none.csv"): "robots",
@@ -143,11 +152,24 @@ def test_errors_name_the_page_of_what_they_are_about(tmp_path: Path) -> None:
         ("export", "panda", "none"): "report",
         ("example", "panda", "-o", str(tmp_path)): "tutorial",
         ("check", "panda", "a.csv", "a.csv", "--mimic", "fix"): "checks",
+        ("identify", "panda", "a.csv", "--dask", "local", "--loss", "huber"): "scale",
+        ("identify", str(system), "a.csv", "b.csv"): "systems",
+        ("identify", *files, *prior, "-o", str(tmp_path / "out")): "uncertainty",
     }
     for words, page in pages.items():
         result = run(*words)
         assert result.exit_code == 2 and len(result.stderr.splitlines()) == 1
         assert result.stderr.endswith(f" (docs/{page}.md)\n"), words
+
+
+def test_addresses_open_from_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sources are beside these tests, whatever the current folder is."""
+    for folder in (ROOT, tmp_path):
+        monkeypatch.chdir(folder)
+        address = run("check", "--help").stdout.rpartition("documentation: ")[2].strip()
+        assert address.endswith("docs/checks.md") and Path(address).is_file()
+    line = run("check", "panda", "none.csv").stderr
+    assert Path(line.rpartition("(")[2].rstrip(")\n")).is_file()
 
 
 def test_results_are_json_or_nothing(tmp_path: Path) -> None:

@@ -149,5 +149,8 @@ main()
     done = subprocess.run(
         command, cwd=tmp_path, capture_output=True, text=True, env=dict(os.environ)
     )
-    line = "jaxcslc: arm.xml: MuJoCo cannot read it: its process ended by SIGSEGV (docs/robots.md)"
-    assert (done.returncode, done.stderr) == (2, f"{line}\n")
+    line = "jaxcslc: arm.xml: MuJoCo cannot read it: its process ended by SIGSEGV"
+    assert (done.returncode, done.stderr) == (
+        2,
+        f"{line} ({Path(__file__).parents[1]}/docs/robots.md)\n",
+    )

@@ -74,7 +74,8 @@ def one_line_errors(name: str = "", page: str = "command") -> Generator[list[int
                 ["jaxcslc", *([name] if name else []), f"--help; {page_address('command')}"]
             )
         else:
-            where = page_address(_page_of(error.__traceback__) or page)
+            own = getattr(error, "page", None)  # of an `ExplainedError`
+            where = page_address(own or _page_of(error.__traceback__) or page)
         with contextlib.suppress(OSError):  # nobody reads it
             print(printable(f"jaxcslc: {message} ({where})"), file=sys.stderr, flush=True)
         status.append(2)

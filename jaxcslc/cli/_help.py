@@ -3,6 +3,7 @@
 import shutil
 import textwrap
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from ._options import Parameter, UsageError, did_you_mean, usage_of
 
@@ -15,8 +16,14 @@ _WIDEST = 100
 
 
 def page_address(page: str) -> str:
-    """Return where a page of the documentation is, by its name."""
-    return f"docs/{page}.md"
+    """Return where a page of the documentation is, by its name.
+
+    Where the package runs from its sources, this is a path that opens from the current folder. An
+    installed package has no pages: the path is that in the sources.
+    """
+    address = Path("docs", f"{page}.md")
+    file = Path(__file__).parents[2] / address
+    return str(file if file.is_file() and not address.is_file() else address)
 
 
 def program_text(commands: Mapping[str, Mapping[str, str]]) -> str:

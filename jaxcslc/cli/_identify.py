@@ -10,7 +10,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from .._environment import require
+from .._environment import ExplainedError, require
 from .._processes import processes_beside
 from ..bodies import load_prior
 from ..identification import (
@@ -339,9 +339,15 @@ def _identified(
 def _check_cluster_options(context: Context, robot: str, options: IdentifyOptions) -> None:
     """**Raises** `ValueError` for what there is not on a cluster."""
     if is_system(robot):
-        raise ValueError("--dask: expected a robot; other systems are identified in one process")
+        raise ExplainedError(
+            "--dask: expected a robot; other systems are identified in one process", "scale"
+        )
     if others := sorted(context.typed - _OF_CLUSTER):
-        raise ValueError(f"--{others[0].replace('_', '-')}: not with --dask")
+        raise ExplainedError(
+            f"--{others[0].replace('_', '-')}: not with --dask, which reads each file once, for one"
+            " fit by least squares",
+            "scale",
+        )
 
 
 def _identified_system(
@@ -350,7 +356,9 @@ def _identified_system(
     from ..systems import identify_system, load_system, load_system_recording
 
     if len(options.train) > 1:
-        raise ValueError(f"{name}: a system takes one recording, got {len(options.train)}")
+        raise ExplainedError(
+            f"{name}: a system takes one recording, got {len(options.train)}", "systems"
+        )
     system = load_system(name)
     judging = options.validate
     return identify_system(

@@ -9,6 +9,7 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, NamedTuple, get_args
 
+from .._environment import ExplainedError
 from ..bodies import Choice, Prior
 from ..least_squares import Previous, Settings
 from ..likelihood import MaximumLikelihood
@@ -110,10 +111,12 @@ class Exclusion(NamedTuple):
     - `features`: names in `FEATURES`; after `"not "`, of one that a request lacks; after
       `"unsupported "`, of one that it has and that its estimator does not support.
     - `text`: of the error, a format of the request `r`.
+    - `page`: of the documentation that explains it.
     """
 
     features: tuple[str, ...]
     text: str
+    page: str = "choose"
 
 
 EXCLUSIONS = (
@@ -142,6 +145,7 @@ EXCLUSIONS = (
     Exclusion(
         ("no bodies", "prior of links"),
         'a prior with [links] needs possible="auto" or "always" (--physical)',
+        page="uncertainty",
     ),
     Exclusion(
         ("bodies of the likelihood",),
@@ -214,7 +218,7 @@ def check_request(request: Request) -> None:
         )
     for row in EXCLUSIONS:
         if all(_has(request, name) for name in row.features):
-            raise ValueError(_text(row, request))
+            raise ExplainedError(_text(row, request), row.page)
     if request.prior is not None:
         request.prior.coefficient_values(request.network)
         request.prior.link_values(request.network.robot)

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Int
 
 from .._environment import core_count, require, require_float64
 from .._processes import can_fork, computed_beside
+from .._text_table import counted
 from ..checks import TorqueLag, small_torque_lag
 from ..least_squares import (
     HostColumns,
@@ -172,9 +173,9 @@ class Scoring:
         if not 2 <= folds <= most:
             if most < 2:
                 raise ValueError(
-                    f"the recording is too short: {samples} samples are left after smoothing;"
-                    f" expected {4 * _FEWEST} or more to choose settings, and several seconds of"
-                    " motion of all joints"
+                    f"the recording is too short: {counted(samples, 'sample')} left after"
+                    f" smoothing; expected {4 * _FEWEST} or more to choose settings, and several"
+                    " seconds of motion of all joints"
                 )
             raise ValueError(
                 f"{folds} folds of {samples} samples; expected 2 to {most} (folds, --folds), of at"

@@ -9,6 +9,7 @@ import scipy
 from jaxtyping import Bool, Float, Int
 
 from .._environment import require
+from .._text_table import counted
 from ..least_squares import (
     Identification,
     Settings,
@@ -190,8 +191,10 @@ def cross_validated_error(
     """
     solver = (Settings() if settings is None else settings).solver
     samples = patterns.q.shape[0]
+    if samples < 2:
+        raise ValueError(f"cross-validation of {counted(samples, 'sample')}; expected at least 2")
     if not 2 <= folds <= samples:
-        raise ValueError(f"{folds} folds of {samples} samples; expected from 2 to {samples}")
+        raise ValueError(f"{folds} folds of {samples} samples; expected 2 to {samples} folds")
     columns = columns_of(network, patterns)
     torque, mask = np.asarray(patterns.torque), np.asarray(patterns.mask)
     fold = fold_numbers(samples, folds)

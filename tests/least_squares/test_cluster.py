@@ -192,12 +192,13 @@ def test_command(paths: list[Path], client: Client, tmp_path: Path) -> None:
     assert "day4.parquet  " in result.output
     assert (out / "fleet.csv").exists()
     for more, message in (
-        (["--loss", "huber"], "--loss: not with --dask"),
+        (["--loss", "huber"], "--loss: not with --dask, which reads each file once"),
         ([tmp_path / "none*.csv"], "no such file; expected recordings"),
     ):
         result = run(*line, *more)
         assert result.exit_code == 2
         assert message in result.output
+        assert "not with" not in message or "(docs/scale.md)" in result.output
 
 
 def listening() -> set[tuple[str, int]]:

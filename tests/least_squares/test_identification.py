@@ -196,8 +196,11 @@ class TestHeldOut:
 
     def test_wrong_input(self, arm: jc.CSLC, puma: jc.CSLC, rng: np.random.Generator) -> None:
         patterns = recorded(arm, rng)
-        with pytest.raises(ValueError, match="expected from 2 to 400"):
+        with pytest.raises(ValueError, match="expected 2 to 400 folds"):
             cross_validated_error(arm, patterns, folds=1)
+        one = patterns.between(*np.asarray(patterns.time)[:2].tolist())
+        with pytest.raises(ValueError, match="of 1 sample; expected at least 2"):
+            cross_validated_error(arm, one)
         fit = ORDINARY.fit(arm, patterns)
         with pytest.raises(ValueError, match="patterns have 1 joints"):
             held_out_error(puma, fit, patterns, patterns)

@@ -204,7 +204,7 @@ def test_refuses_what_makes_no_sense(pendulum: jc.CSLC, rng: np.random.Generator
     for folds in (0, 1, 1000):
         with pytest.raises(ValueError, match=f"{folds} folds of"):
             jc.choose_settings(pendulum, recording, folds=folds)
-    with pytest.raises(ValueError, match=r"too short: .* samples are left"):
+    with pytest.raises(ValueError, match=r"too short: .* samples left after smoothing; expected"):
         jc.choose_settings(pendulum, recording.rows(slice(30)))
     with pytest.raises(ValueError, match=r"1 joints, .* has 6"):
         jc.choose_settings(jc.derive(jc.puma560()), recording)
