@@ -295,7 +295,10 @@ class Evidence:
 
     @cached_property
     def training_errors(self) -> Float[np.ndarray, " joints"]:
-        """Error of each joint that `fit` leaves, as part of its torque's root mean square."""
+        """Error of each joint that `fit` leaves, as part of its torque's root mean square.
+
+        In N m for a joint without torque.
+        """
         size = counted_rms(np.asarray(self.patterns.torque), np.asarray(self.patterns.mask))
         return np.asarray(self.fit.torque_error) / np.where(size > 0.0, size, 1.0)
 

@@ -85,6 +85,12 @@ def test_a_prismatic_joint_moves_along_its_axis() -> None:
     assert torque[9] == pytest.approx(11.81)
 
 
+def test_no_length_is_off_by_more_than_the_longest_of_the_arm() -> None:
+    for error in geometry_errors(jc.derive(robot(), lengths="numeric")):
+        assert error.is_plausible(robot(), -0.4)
+        assert error.is_plausible(robot(), 0.5) == error.is_angle
+
+
 @pytest.mark.parametrize("arm", [jc.puma560(), jc.panda()])
 def test_named_lengths_keep_their_names(arm: jc.Manipulator) -> None:
     """A length that the file has as zero is not called by the name of another."""

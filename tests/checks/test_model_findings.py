@@ -80,6 +80,14 @@ def test_errors_are_those_of_fits_without_their_blocks(evidence: Evidence) -> No
     np.testing.assert_allclose(first.score().errors, np.sqrt(squares / size), rtol=1e-5)
 
 
+def test_a_joint_without_torque_has_finite_errors(network: jc.CSLC, clean: jc.Recording) -> None:
+    """They are no part of a torque that is zero."""
+    torque = clean.torque * (np.arange(clean.joints) != 1)
+    silent = Evidence.of(network, dataclasses.replace(clean, torque=torque))
+    for errors in (silent.training_errors, silent.relative_errors, silent.noise):
+        assert np.all(np.isfinite(errors**2))
+
+
 def test_sizes_are_those_of_small_faults(evidence: Evidence) -> None:
     """What is done to the patterns comes back as the size of its column."""
     offset = np.zeros(6)
