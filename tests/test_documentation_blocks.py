@@ -26,7 +26,15 @@ SLOW = (
 )
 # Run in `test_readme.py`, which looks at what they print.
 PRINTING = ("networks.md", "friction.md", "payload.md", "control.md")
-PAGES = ("robots.md", "uncertainty.md", "export.md", "settings.md", "report.md", "excitation.md")
+PAGES = (
+    "robots.md",
+    "uncertainty.md",
+    "export.md",
+    "settings.md",
+    "report.md",
+    "excitation.md",
+    "comparison.md",
+)
 
 
 def blocks(page: str, language: str) -> list[str]:
