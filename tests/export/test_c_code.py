@@ -1,7 +1,11 @@
 """The C code against Python, on robots of every kind; what it is, and what it refuses."""
 
+import ctypes
 import re
+import shutil
+import subprocess
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -10,6 +14,7 @@ import pytest
 from jaxtyping import Float
 
 import jaxcslc as jc
+from jaxcslc.export import write_c
 from tests import arms
 
 
@@ -221,3 +226,28 @@ def test_a_payload_of_a_tree_with_every_kind_of_friction(
     network = jc.derive(_ALL_KINDS.with_coupling((1, 3)), lengths="numeric").with_payload(2)
     k = rng.normal(size=network.size)
     _agrees(network, k, compiled(jc.c_code(network, k)), rng)
+
+
+def test_the_tracking_loop_of_the_page(
+    puma: jc.CSLC, puma_k: Any, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Compiled as it stands: the model's torque at the desired motion, and that of the error."""
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler (cc) on this machine")
+    page = (Path(__file__).parents[2] / "docs" / "export.md").read_text("utf-8")
+    section = page.split("### Feed-forward in C and ROS 2")[1]
+    (program, *_) = re.findall(r"^```c\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
+    (tmp_path / "track.c").write_text(program, encoding="ascii")
+    write_c(jc.c_code(puma, puma_k, name="arm"), tmp_path / "arm.c")
+    strict = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC")
+    line = ["cc", *strict, "-o", "track.so", "track.c", "arm.c", "-lm"]
+    done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    track = ctypes.CDLL(str(tmp_path / "track.so")).track
+    desired = rng.uniform(-1, 1, (3, 6))
+    q, qd, kp, kd = rng.uniform(0, 1, (4, 6))
+    tau = np.zeros(6)
+    track(*(x.ctypes.data_as(ctypes.c_void_p) for x in (desired, q, qd, kp, kd, tau)))
+    expected = np.asarray(puma.torque(puma_k, *desired))
+    expected = expected + kp * (desired[0] - q) + kd * (desired[1] - qd)
+    np.testing.assert_allclose(tau, expected, rtol=_ROUNDING, atol=_ROUNDING * abs(tau).max())
