@@ -78,10 +78,7 @@ QUOTES = (
     Quote(
         "docs/scale.md",
         "agree with those of QR to {} of a standard error for well-conditioned motion",
-        (
-            "scale_evidence.md # How pieces are factorised | motion | a hundredth of it"
-            " | difference",
-        ),
+        ("scale_evidence.md # Factorisation of pieces | motion | a hundredth of it | difference",),
     ),
     Quote(
         "docs/recordings.md",

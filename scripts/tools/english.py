@@ -5,8 +5,10 @@
 
 The rules are those of plain technical English. A sentence of a guide has at most 30 words, and
 the mean of a page is at most 17. Phrases that a reader has to translate have a better one, which
-the message names. A guide has no dates and no studies: they belong on evidence pages, which are
-checked for phrases alone. Of `jaxcslc`, the first sentences of docstrings and the errors that are
+the message names. A heading names a topic or a task: it is no clause, question or sentence. A page
+defines each Greek letter where it uses it first: in words, or next to the quantity's name. A guide
+has no dates and no studies: they belong on evidence pages, whose sentences may have any length. Of
+`jaxcslc`, the first sentences of docstrings and the errors that are
 raised are checked for the worst phrases.
 """
 
@@ -55,6 +57,7 @@ PHRASES: dict[str, str] = {
     r"\btells? of\b": "says about",
     r"\bnobody knows\b": "a subject that can do what the verb says",
     r"\bas ever\b": "as usual",
+    r"\bbeside\b": "next to",
     r"\bhardly\b": "little, barely",
     r"\bto and fro\b": "back and forth, alternates",
     r"\bgo(?:es)? astray\b": "fails",
@@ -68,7 +71,20 @@ _IN_CODE = re.compile(
 _EVIDENCE_SIGN = re.compile(r"\b20\d\d-[01]\d-[0-3]\d\b|scripts[./]studies\b")
 # The page for developers may name studies.
 _WITH_STUDIES = frozenset({"CONTRIBUTING.md"})
-_SYMBOLS = {"ε": r"ε\b.{0,80}(?:is|:|=|mean|error)", "γ": r"γ.{0,60}(?:is|:|=|1 / slope)"}
+# Headings that are clauses, questions or sentences; and long ones.
+_CLAUSE = re.compile(
+    r"^(?:what|how|why|which|where|when|who|whether|before|after)\b|\b(?:that|which)\b|[.?!:]$",
+    re.IGNORECASE,
+)
+_LONGEST_HEADING = 9  # words
+# Greek letters that need a definition: π, Σ for a sum and µ for micro are everybody's.
+_SYMBOL = re.compile(r"(?<![\w_])[α-ξρ-ωΓΔΘΛΞΦΨΩ][₀-₉]*")
+# "ε is the ...", "ε: a ...", "σ_q and σ_τ are noise ...", "with δ the lag", "the speed γ".
+_DEFINITION = (
+    r"{symbol}(?:_\w+)?[`*]*(?: and \S+)?(?:,|:| is| are)? (?:the|a|an|that|its|joint|noise)\b"
+    r"|\b(?:angle|damping|deviation|frequency|speed) {symbol}"
+)
+_NEAR = 400  # characters after the first use: the sentences around a formula
 
 
 @dataclass(frozen=True)
@@ -151,14 +167,42 @@ def findings(page: Path) -> list[Finding]:
                 found.append(
                     Finding(page, number, f"'{match.group(0)}': belongs on an evidence page")
                 )
-    for symbol, definition in _SYMBOLS.items():
-        if symbol in text and not re.search(definition, text):
-            line = text[: text.index(symbol)].count("\n") + 1
-            found.append(Finding(page, line, f"{symbol} is not defined on this page"))
+    found += [*_headings(page, text), *_symbols(page, text)]
     counts = lengths(text)
     if not is_evidence(page) and counts and (mean := sum(counts) / len(counts)) > MEAN:
         found.append(Finding(page, 1, f"mean sentence has {mean:.1f} words; at most {MEAN}"))
     return found
+
+
+def _without_blocks(text: str) -> str:
+    """Text with empty lines for those of fenced blocks, so that lines keep their numbers."""
+    return re.sub(
+        r"^ *```.*?^ *```", lambda m: "\n" * m[0].count("\n"), text, flags=re.DOTALL | re.MULTILINE
+    )
+
+
+def _headings(page: Path, text: str) -> Iterator[Finding]:
+    for number, line in enumerate(_without_blocks(text).splitlines(), 1):
+        if match := re.match(r"#+ +(.+)", line):
+            heading = match[1].strip()
+            if _CLAUSE.search(heading):
+                yield Finding(page, number, f"heading '{heading}': name a topic or a task")
+            elif (count := words(heading)) > _LONGEST_HEADING:
+                problem = f"heading of {count} words; at most {_LONGEST_HEADING}"
+                yield Finding(page, number, problem)
+
+
+def _symbols(page: Path, text: str) -> Iterator[Finding]:
+    plain = _without_blocks(text)
+    first: dict[str, re.Match[str]] = {}
+    for match in _SYMBOL.finditer(plain):
+        first.setdefault(match[0], match)
+    for symbol, match in first.items():
+        known = plain[: match.end() + _NEAR]
+        if not re.search(_DEFINITION.format(symbol=symbol), known):
+            line = plain[: match.start()].count("\n") + 1
+            problem = f"{symbol} is not defined in words where it is used first"
+            yield Finding(page, line, problem)
 
 
 def code_findings(module: Path) -> list[Finding]:

@@ -55,7 +55,7 @@ been seen:
 - torque offsets of all joints, with the file as prior (LWR4+);
 - the noise of halves of a recording, by which the file's strength is found (LWR4+).
 
-## Where it loses
+## Cases it loses
 
 `identify` as typed loses at a joint if its error is more than 2 % above that of the usual pipeline.
 The pipeline's variant is the one with the smallest mean over the joints on the judged recording.
@@ -119,7 +119,7 @@ def _points(compared: Sequence[_Comparison]) -> str:
     lost, joints = sum(len(one.worse) for one in compared), sum(len(x.ours) for x in compared)
     points = (
         f"`identify` as typed loses to the usual pipeline at {lost} of {joints} joints"
-        " ([list](#where-it-loses)).",
+        " ([list](#cases-it-loses)).",
         f"Its mean error over the joints is larger on {_listed(by_mean[True])}.",
         f"It is smaller on {_listed(by_mean[False])}.",
     )
