@@ -183,7 +183,14 @@ class _Reader:
             case ast.Compare(left=left, ops=[sign], comparators=[right]) if (
                 type(sign) in _COMPARISONS
             ):
-                return _COMPARISONS[type(sign)](self.read(left), self.read(right))
+                sides = self._number(left), self._number(right)
+                try:
+                    return _COMPARISONS[type(sign)](*sides)
+                except TypeError:  # infinite, or complex
+                    raise DescriptionError(
+                        f"cannot compare {ast.unparse(node)!r} in {_short(self.text)}; expected"
+                        " real numbers on both sides"
+                    ) from None
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 return self._called(name, arguments)
             case _:
