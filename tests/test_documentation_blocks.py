@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -93,3 +94,10 @@ def test_the_page_of_settings_has_every_entry() -> None:
             assert f"`{field.name}`" in text
     for name in ("averaged_splines", "butterworth", "savitzky_golay", "central_differences"):
         assert f"| `{name}` |" in text
+
+
+def test_the_page_of_installation_has_every_extra() -> None:
+    project = tomllib.loads((DOCS.parent / "pyproject.toml").read_text("utf-8"))["project"]
+    rows = re.findall(r"^\| (`.+`) \|", (DOCS / "install.md").read_text("utf-8"), re.MULTILINE)
+    named = {name for row in rows for name in re.findall(r"`(.+?)`", row)}
+    assert named == set(project["optional-dependencies"]) - {"all"}
