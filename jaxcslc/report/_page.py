@@ -348,6 +348,21 @@ class Page:
     sections: tuple[Section, ...]
 
 
+# Values below this part of the largest are rounding: of frames, 1e-16, and of solvers, 1e-9.
+_ROUNDING = 1e-8
+
+
+def without_rounding(values: Iterable[float], largest: float) -> list[float]:
+    """Return values to show, zero where only rounding makes them differ from it.
+
+    - `largest`: magnitude of such values.
+
+    >>> without_rounding([0.28, -4.3e-35], 0.28)
+    [0.28, 0.0]
+    """
+    return [x if abs(x) > _ROUNDING * largest else 0.0 for x in values]
+
+
 def render(page: Page) -> str:
     """Return a page as one HTML file that needs no other file but those that it names.
 

@@ -4,6 +4,7 @@ import dataclasses
 import html
 import importlib.util
 import json
+from collections.abc import Iterable
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 
 import jaxcslc as jc
 from jaxcslc.manipulator import LinkParameters, link_poses
-from jaxcslc.report import compare_reports, fit_quality
+from jaxcslc.report import AbstractBlock, Table, Value, compare_reports, fit_quality
 from jaxcslc.report.sections._bodies import solid_ellipsoid
 
 
@@ -169,6 +170,33 @@ def test_friction_is_what_other_terms_leave(reports: tuple[jc.Report, jc.Report]
     np.testing.assert_allclose(
         points["y"], viscous * velocity + dry * np.sign(velocity), rtol=1e-3, atol=1e-4
     )
+
+
+def column(blocks: Iterable[AbstractBlock], name: str, title: str) -> list[Value]:
+    """A column of the table of a name."""
+    (table,) = (x for x in blocks if isinstance(x, Table) and x.name == name)
+    return [row[[x.title for x in table.columns].index(title)] for row in table.rows]
+
+
+def test_values_of_the_file_stand_beside_the_identified_ones() -> None:
+    """A pendulum of inertia m (l/2)² + I about its joint, and friction that its file states."""
+    rod = LinkParameters(2.0, np.array([0.25, 0.0, 1e-30]), np.diag([1e-3, 0.02, 0.02]), 0.1)
+    arm = jc.examples.pendulum().with_friction("viscous", "dry")
+    arm = dataclasses.replace(arm, links=(rod,), viscous=(0.3,), dry=(0.5,))
+    network = jc.derive(arm, lengths="numeric")
+    k = network.coefficients_from(arm.links or (), viscous=arm.viscous, dry=arm.dry)
+    recording = jc.examples.swing_recording(network, np.asarray(k).tolist(), samples=1000)
+    report = jc.identify(network, recording, settings=jc.Settings(), possible="always")
+    blocks = [block for section in report.page(charts=False).sections for block in section.blocks]
+    names = column(blocks, "coefficients-table", "name")
+    file = dict(zip(names, column(blocks, "coefficients-table", "file"), strict=True))
+    assert file["kB1"] == pytest.approx(2.0 * 0.25**2 + 0.02 + 0.1)
+    assert file["kB3"] == 0.0
+    assert (file["kv1"], file["kd1"]) == (0.3, 0.5)
+    assert column(blocks, "bodies", "mass, file [kg]") == [2.0]
+    assert column(blocks, "bodies", "rz, file [m]") == [0.0]  # 1e-30 m is rounding
+    assert column(blocks, "inertias", "Izz, file [kg m²]") == [0.02]
+    assert column(blocks, "inertias", "motor inertia, file [kg m²]") == [0.1]
 
 
 def test_a_missing_extra_changes_the_page_and_not_the_run(

@@ -11,22 +11,24 @@ from jaxcslc.manipulator import LinkParameters, RobotError, link_poses
 from jaxcslc.uncertainty import RelativeError
 
 from .._charts import ArmChart, Ellipsoid
-from .._page import AbstractBlock, Column, Paragraph, Section, Table
+from .._page import AbstractBlock, Column, Paragraph, Section, Table, without_rounding
 from .._section import AbstractSection, AnyReport, open_errors
 
 
-# Columns of bodies, and those of them that the robot's file is shown beside.
-_FIGURES: dict[str, Callable[[Mapping[str, Any]], float]] = {
+# Columns of bodies, in two narrow tables.
+_MASSES: dict[str, Callable[[Mapping[str, Any]], float]] = {
     "mass [kg]": lambda link: link["mass"],
     "rx [m]": lambda link: link["centre"][0],
     "ry [m]": lambda link: link["centre"][1],
     "rz [m]": lambda link: link["centre"][2],
+}
+_INERTIAS: dict[str, Callable[[Mapping[str, Any]], float]] = {
     "Ixx [kg m²]": lambda link: link["inertia"][0][0],
     "Iyy [kg m²]": lambda link: link["inertia"][1][1],
     "Izz [kg m²]": lambda link: link["inertia"][2][2],
     "motor inertia [kg m²]": lambda link: link["motor_inertia"],
 }
-_OF_FILE = ("mass [kg]", "rx [m]", "ry [m]", "rz [m]")
+_MAYBE_IN_FILE = "motor inertia [kg m²]"  # few formats have it
 
 
 class PossibleSection(AbstractSection):
@@ -58,21 +60,16 @@ class PossibleSection(AbstractSection):
         if "bodies" not in self.data:
             return
         bodies = self.data["bodies"]
-        columns = [(Column("body", numeric=False), bodies["names"])]
-        sources = {"": bodies["links"], ", file": bodies.get("file")}
-        known = {source: links for source, links in sources.items() if links}
-        for title, value in _FIGURES.items():
-            for source, links in known.items():
-                if not source or title in _OF_FILE:
-                    name = title.replace(" [", f"{source} [")
-                    columns.append((Column(name, digits=3), [value(link) for link in links]))
-        caption = "Masses, centres of gravity (r), moments of inertia (I)"
+        masses = _body_table(bodies, _MASSES, "Masses and centres of gravity (r)", "bodies")
+        caption = "Moments of inertia (I), of motors too"
+        inertias = _body_table(bodies, _INERTIAS, caption, "inertias")
         blocks: list[AbstractBlock] = [
             Paragraph(
                 f"The coefficients of these bodies are {bodies['distance']:.3g} standard errors"
                 " (root mean square) from the unconstrained fit."
             ),
-            Table.from_columns(columns, caption, "bodies"),
+            masses,
+            inertias,
         ]
         if "possible" in self.data:
             blocks += _judged(report, open_errors(self.data["possible"]))
@@ -85,9 +82,30 @@ class PossibleSection(AbstractSection):
             "The physically consistent masses, centres of gravity and inertia tensors nearest to"
             " the fit, with the robot file's values where it has them. The motion determines only"
             " combinations of them; the rest follows the file or a prior. Frames are those of the"
-            " file, without what it fixes to a body; inertia is about the centre of gravity.",
+            " file, without what it fixes to a body; inertia is about the centre of gravity."
+            " jaxcslc export computes bodies anew, from this report's coefficients, which contain"
+            " the file's values already. Its values can differ slightly from these.",
             blocks,
         )
+
+
+def _body_table(
+    bodies: Mapping[str, Any],
+    figures: Mapping[str, Callable[[Mapping[str, Any]], float]],
+    caption: str,
+    name: str,
+) -> Table:
+    """Return a table of bodies, each quantity next to that of the robot's file, if it has any."""
+    columns = [(Column("body", numeric=False), bodies["names"])]
+    for title, value in figures.items():
+        identified = [value(link) for link in bodies["links"]]
+        file = [value(link) for link in bodies.get("file") or ()]
+        largest = max(map(abs, [*identified, *file]))
+        columns.append((Column(title, digits=3), without_rounding(identified, largest)))
+        if file and (title != _MAYBE_IN_FILE or any(file)):
+            of_file = Column(title.replace(" [", ", file ["), digits=3)
+            columns.append((of_file, without_rounding(file, largest)))
+    return Table.from_columns(columns, caption, name)
 
 
 def _judged(report: AnyReport, judged: Mapping[str, Any]) -> list[AbstractBlock]:

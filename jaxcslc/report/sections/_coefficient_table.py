@@ -10,6 +10,7 @@ import numpy as np
 from jaxcslc._environment import as_jax
 from jaxcslc._text_table import number_text, readable
 from jaxcslc.least_squares import Identification
+from jaxcslc.network import CSLC, AbstractLinearNetwork
 from jaxcslc.uncertainty import SHOWN_SCALE, TORQUE_SCALE, SystematicError
 
 from .._charts import MatrixChart
@@ -25,6 +26,7 @@ from .._page import (
     Section,
     Table,
     Tone,
+    without_rounding,
 )
 from .._section import AbstractSection, AnyReport, counted, listed
 
@@ -56,6 +58,9 @@ _COLUMNS = {
     "value": Column("value"),
     "low": Column("low"),
     "high": Column("high"),
+    "file": Column(
+        "file", "of the robot's file, whose missing motor inertias count as zero", digits=3
+    ),
     "unit": Column("unit", numeric=False),
     "verdict": Column("verdict", numeric=False, tones=_VERDICT_TONES),
     "reason": Column("reason", numeric=False, wide=True),
@@ -67,14 +72,17 @@ class CoefficientSection(AbstractSection):
     """Values, intervals and verdicts of the coefficients."""
 
     name = "coefficients"
-    entries = MappingProxyType({"unidentifiable": list})
+    entries = MappingProxyType({"unidentifiable": list, "file_values": dict})
     position = 20
 
     always = True
 
     @classmethod
     def document_of(cls, result: None, report: AnyReport) -> Mapping[str, Any]:
-        return {"unidentifiable": report.fit.unidentifiable}
+        return {
+            "unidentifiable": report.fit.unidentifiable,
+            "file_values": _file_values(report.network),
+        }
 
     def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         yield [coefficient_text(report.rows())]
@@ -111,7 +119,16 @@ class CoefficientSection(AbstractSection):
 
     def blocks(self, report: AnyReport, charts: bool) -> Iterator[Section]:
         fit, legend = report.fit, report.model.legend
-        rows = tuple(tuple((row | _shown(row))[name] for name in _COLUMNS) for row in report.rows())
+        values: Mapping[str, float] = self.data.get("file_values") or {}
+        largest = max(map(abs, values.values()), default=0.0)
+        file = dict(zip(values, without_rounding(values.values(), largest), strict=True))
+        columns = {name: x for name, x in _COLUMNS.items() if file or name != "file"}
+        rows = tuple(
+            tuple(
+                (row | _shown(row) | {"file": file.get(str(row["name"]))})[name] for name in columns
+            )
+            for row in report.rows()
+        )
         undetermined = tuple(Message(text, "bad") for text in fit.unidentifiable)
         yield Section(
             "Coefficients",
@@ -130,9 +147,27 @@ class CoefficientSection(AbstractSection):
             [
                 *([Messages(undetermined)] if undetermined else []),
                 *([] if legend is None else [Paragraph(f"{legend}.")]),
-                Table(tuple(_COLUMNS.values()), rows, name="coefficients-table"),
+                Table(tuple(columns.values()), rows, name="coefficients-table"),
             ],
         )
+
+
+def _file_values(network: AbstractLinearNetwork) -> dict[str, float]:
+    """Return values of coefficients by the robot's file, for those that it has values for."""
+    if not isinstance(network, CSLC):
+        return {}
+    robot, values = network.robot, dict[str, float]()
+    groups = [coefficient.group for coefficient in network.coefficients]
+    if robot.links is not None:
+        k = np.asarray(network.coefficients_from(robot.links)).tolist()
+        rigid = list(zip(network.names, k, groups, strict=True))[: network.terms[0].size]
+        values = {name: value for name, value, group in rigid if group != "payload"}
+    for kind, known in (("viscous", robot.viscous), ("dry", robot.dry)):
+        names = [x for x, group in zip(network.names, groups, strict=True) if group == kind]
+        pairs = zip(known or (), network.friction_per_joint, strict=False)
+        have = [value for value, kinds in pairs if kind in kinds]
+        values |= dict(zip(names, map(float, have), strict=False))
+    return values
 
 
 def _scale_statement(systematic: SystematicError | None) -> str:
