@@ -231,7 +231,7 @@ def identify_servo(
     base = known_rows(robot, given, known or {})
     names = tuple(name for name in estimated if name not in (known or {}))
     with progress_steps(progress, "identify servos") as step:
-        search = _Search(robot, given, carried, base, names)
+        search = _Search(robot, given, carried, base, names, tuple(known or ()))
         ratios_only = math.isinf(mass_error) and not search.is_absolute
         scale_error = 0.0 if ratios_only else mass_error
         step("searching for each joint alone")
@@ -319,6 +319,7 @@ class _Search:
     payloads: Sequence[LinkParameters | None]
     base: Float[np.ndarray, "joints parameters"]
     names: tuple[str, ...]
+    given: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         self.smooth = [smoothed(x) for x in self.recordings]
@@ -608,7 +609,7 @@ class _Search:
         stack = self.stack(self.misfits, mass_error)
         confusions: list[ConfoundedParameters] = []
         for i, (problem, x) in enumerate(zip(self.problems, self.unknowns, strict=True)):
-            for pair, covariance in confounded(i, problem, x, self.masses):
+            for pair, covariance in confounded(i, problem, x, self.masses, self.given):
                 confusions.append(pair)
                 stack = stack.with_confounded(self.problems, pair, covariance)
         if "gain" in self.names:

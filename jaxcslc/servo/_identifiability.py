@@ -6,6 +6,7 @@ those that the fit keeps at zero.
 """
 
 import dataclasses
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -149,14 +150,19 @@ COMPLIANCE = (
 
 
 def confounded(
-    joint: int, problem: JointProblem, x: Float[np.ndarray, " unknowns"], masses: float
+    joint: int,
+    problem: JointProblem,
+    x: Float[np.ndarray, " unknowns"],
+    masses: float,
+    given: Collection[str] = (),
 ) -> list[tuple[ConfoundedParameters, Float[np.ndarray, "pair pair"]]]:
     """Return the known pairs that the recordings of a joint confound, and their covariances.
 
-    Parameters that the fit left at their known values take part: they might explain the motion
-    instead of those that it estimated.
+    Parameters that the fit left at zero take part: they might explain the motion instead of those
+    that it estimated.
 
     - `x`, `masses`: unknowns of the problem, and the scale of the links' masses.
+    - `given`: names of parameters that are known, and take no part.
     """
     row = problem.rows(x[None])[0]
     names = tuple(UNKNOWNS)
@@ -168,7 +174,7 @@ def confounded(
     if "play" in problem.names:
         found.append((ConfoundedParameters(joint, ("play",), *COMPLIANCE), np.zeros((1, 1))))
     for pair, (reason, remedy) in PAIRS.items():
-        if not set(pair) & set(problem.names):
+        if not set(pair) & set(problem.names) or set(pair) & set(given):
             continue
         keep = [names.index(name) for name in pair]
         # The others are what the fit estimates, known as well as recordings and priors say.

@@ -199,6 +199,7 @@ def test_known_gains_are_kept(tmp_path: Path) -> None:
     names = ("delay", "offset", "armature", "coulomb", "load_friction")
     fit = identify_servo(light, recording, known={"gain": 12.0, "damping": 0.8}, estimated=names)
     assert [drive.gain for drive in fit.drives] == [12.0] * 3
+    assert not any({"gain", "damping"} & set(pair.parameters) for pair in fit.confounded)
     assert fit.robot.links is not None
     assert fit.robot.links[0].mass == pytest.approx(robot.links[0].mass, rel=0.03)
     assert fit.drives[0].armature == pytest.approx(0.02, rel=0.1)
