@@ -56,6 +56,7 @@ def test_a_base_that_moves_is_named(base: str, named: bool) -> None:
     assert [x.kind for x in check_servos(robot, recording, known)] == named * ["base"]
     fit = identify_servo(robot, recording, known=known, estimated=names)
     assert any(note.startswith("The base moves") for note in fit.notes) == named
+    assert not any("damping" in pair.parameters for pair in fit.confounded)
     if not named:
         for i, drive in enumerate(fit.drives):
             assert drive.armature == pytest.approx(drives.armature[i], abs=0.0015)
