@@ -255,6 +255,25 @@ CHARTS: Mapping[str, Chart] = {
         },
         {"median": "median", "90 % of machines": "90 %"},
     ),
+    "ultrasound": Chart(
+        "Comparison patterns that are classified correctly, of 3,150 for training [%]",
+        "ultrasound.md # Comparison patterns | patterns | 3,150 & {group} & {series}"
+        " | comparison patterns correct",
+        {"inputs as they are": "as they are", "inputs centred": "centred"},
+        {"backpropagation": "end of backpropagation", "PERAL": "end of PERAL"},
+    ),
+    "puma_a_b": Chart(
+        "Torque difference from the thesis's PUMA A [N m]",
+        "puma_a_b.md # Effect on the torque | PUMA | A & {series} against it | {group}",
+        _same(*(f"joint {joint}" for joint in range(1, 7))),
+        {"puma_a": "`puma_a`", "Armstrong": "Armstrong"},
+    ),
+    "thesis": Chart(
+        "Entries of the thesis",
+        "thesis.md # The thesis, entry by entry |  | {group} | {series}",
+        _same("sections", "numbered equations", "figures and tables"),
+        _same("in all", "carried over"),
+    ),
 }
 
 

@@ -29,6 +29,14 @@ _MACHINES = {"A": puma_a(), "B": puma_b()}
 _INTRODUCTION = """\
 # PUMA A and PUMA B
 
+- `puma_a` and `puma_b` are the physically consistent machines nearest to the thesis's printed
+  coefficients.
+- No machine has the printed coefficients: several of them contradict each other.
+- The torque of each preset, RMS of all joints, is nearer to that of the printed coefficients than
+  the torque of Armstrong's machine.
+
+![Bars: torque differences from PUMA A's printed coefficients](images/evidence/puma_a_b.svg)
+
 The presets `puma_a` and `puma_b` approximate the two machines on which the thesis identified its
 coefficients. The presets are physically consistent. Their friction is Appendix B's as printed. The
 thesis identified 31 mass and gravity coefficients one by one, and no machine has the printed

@@ -40,6 +40,12 @@ _CHAPTERS = {
 _INTRODUCTION = """\
 # The thesis, entry by entry
 
+- Every section, numbered equation and figure of the thesis has an entry.
+- Entries link the code that implements them. What is not carried over is named.
+- Measurements are on simulated machines. Compare them in kind, not in value.
+
+![Bars: sections, equations and figures that are carried over](images/evidence/thesis.svg)
+
 The method comes from a doctoral thesis, "Identification of robotic manipulators' inverse dynamics
 coefficients via model-based adaptive networks". This page lists its sections, numbered equations
 and figures. The thesis counts tables as figures. Each entry links the code that implements it. The

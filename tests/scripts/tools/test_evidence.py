@@ -18,7 +18,8 @@ def evidence_pages() -> list[str]:
     text = (DOCS.parent / "mkdocs.yml").read_text("utf-8")
     nav = yaml.safe_load(text[text.index("\nnav:") :])["nav"]
     (pages,) = (entry["Evidence"] for entry in nav if "Evidence" in entry)
-    return [page for page in pages if page != "comparison.md"] + ["experiment.md"]
+    listed = [page for page in pages if page != "comparison.md"]
+    return [*listed, "experiment.md", "puma_a_b.md", "thesis.md", "ultrasound.md"]
 
 
 @pytest.mark.parametrize("page", evidence_pages())
