@@ -158,7 +158,8 @@ def _file_values(network: AbstractLinearNetwork) -> dict[str, float]:
         return {}
     robot, values = network.robot, dict[str, float]()
     groups = [coefficient.group for coefficient in network.coefficients]
-    if robot.links is not None:
+    lengths_known = all(x.value is not None for x in robot.named_lengths().values())
+    if robot.links is not None and lengths_known:
         k = np.asarray(network.coefficients_from(robot.links)).tolist()
         rigid = list(zip(network.names, k, groups, strict=True))[: network.terms[0].size]
         values = {name: value for name, value, group in rigid if group != "payload"}
