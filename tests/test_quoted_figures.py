@@ -64,7 +64,7 @@ QUOTES = (
     ),
     Quote(
         "README.md",
-        "On a repeated motion of a KUKA LWR4+, it is larger: {} % instead of {} %",
+        "The case that it loses is a repeated motion of a KUKA LWR4+, with {} % instead of {} %",
         tuple(reversed(real_robots(*_REAL_CASES[3][1:], "identify"))),
     ),
     *(

@@ -360,7 +360,8 @@ def _write_files(arm: str, result: Example) -> None:
         _write(chosen.columns(log), path)
     document = {
         "what": f"truth of the simulated {arm}: train.csv and validation.csv",
-        "coefficients": truth,
+        # Torques have no offsets, which `identify` adds.
+        "coefficients": truth | {f"ko{joint + 1}": 0.0 for joint in range(robot.joint_count)},
         "links": [_entries(link) for link in links],
     }
     result.truth.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")

@@ -222,7 +222,7 @@ def main() -> None:
             jc.load_recording(path, joints=7) for path in (example.train, example.validation)
         )
         report = jc.identify(network, train, validation=held_out)
-        drawing = picture(report, train, held_out, jc.examples.read_truth(example, network))
+        drawing = picture(report, train, held_out, jc.examples.read_truth(example, report.network))
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
     arguments.output.write_text(drawing, encoding="utf-8")
     print(f"wrote {arguments.output}: {arguments.output.stat().st_size / 1000:.0f} kB")

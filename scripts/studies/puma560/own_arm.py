@@ -91,7 +91,7 @@ def identify_example(folder: Path, *, quick: bool = False) -> OwnArm:
     )
     report = jc.identify(network, train, validation=held_out, horizon=not quick)
     report.save(folder / "results", command=_IDENTIFY + " --simulate" * (not quick))
-    truth = np.asarray(jc.examples.read_truth(example, network))
+    truth = np.asarray(jc.examples.read_truth(example, report.network))
     drawing = picture(report, train, held_out, truth)
     (folder / "identify.svg").write_text(drawing, encoding="utf-8")
     return OwnArm(report, truth, None if quick else _distances(report))
