@@ -76,7 +76,7 @@ def test_the_tutorial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for command, text in steps():
         if ELSEWHERE in command:
             report = jc.load_report("results")
-            for name, percent in re.findall(r"(kB\d+): standard error (\S+) %", text):
+            for name, percent in re.findall(r"(k[A-Za-z]+\d+): standard error (\S+) %", text):
                 entry = report[name]
                 shown_error = 100 * float(entry["standard_error"]) / abs(entry.value)
                 assert shown_error == pytest.approx(float(percent), rel=0.1), name
