@@ -90,6 +90,7 @@ def test_wrong_usage_is_one_line() -> None:
     wrong = {
         ("--physicl", "auto"): "no such option: --physicl; did you mean --physical?",
         ("--loss", "cubic"): "--loss: expected squared, huber, bisquare, got 'cubic'",
+        ("--loss", "huber", "--loss", "huber"): "--loss: given 2 times, expected once",
         ("--decimate", "0"): "--decimate: expected a whole number from 1 on, got '0'",
         ("--memory", "much"): "--memory: expected a number above 0, got 'much'",
         ("--settings",): "--settings: expected one argument",

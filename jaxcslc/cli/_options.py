@@ -218,8 +218,7 @@ def add_options(
             kind = argparse.BooleanOptionalAction
             yield parameter, parser.add_argument(*names, action=kind, **settings)
             continue
-        action = "append" if parameter.many else "store"
-        settings |= {"action": action, "metavar": parameter.metavar}
+        settings |= {"action": "append", "metavar": parameter.metavar}
         yield parameter, parser.add_argument(*names, **settings)
         for flag, value in parameter.option.flags if old else ():
             hidden: Values = {"dest": parameter.name, "help": argparse.SUPPRESS, "const": value}
@@ -248,11 +247,10 @@ def parse(
     for parameter in parameters:
         if parameter.name in values and parameter.item is not bool:
             texts = values[parameter.name]
-            values[parameter.name] = (
-                [parameter.parsed(text) for text in texts]
-                if parameter.many
-                else parameter.parsed(texts)
-            )
+            parsed = [parameter.parsed(x) for x in ([texts] if isinstance(texts, str) else texts)]
+            if len(parsed) > 1 and not parameter.many:
+                raise parameter.wrong(f"given {len(parsed)} times, expected once")
+            values[parameter.name] = parsed if parameter.many else parsed[0]
     return values, others[:end] + others[end + 1 :]
 
 
