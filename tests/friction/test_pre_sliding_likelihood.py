@@ -270,6 +270,6 @@ def test_what_pre_sliding_is_not_tried_with(
         supports=ESTIMATORS[estimator].supports,
         likelihood=likelihood,
     )
-    friction = choose_friction_terms(request, lambda _: None)
+    friction = choose_friction_terms(request, request, lambda _: None)
     assert friction.tried is None and friction.not_tried == reason
     assert friction.request.likelihood is likelihood
