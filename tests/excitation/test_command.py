@@ -119,7 +119,7 @@ def test_percentages_are_those_that_identify_has(folder: Path) -> None:
 def test_a_motion_for_a_payload(folder: Path) -> None:
     """One joint feels two sums of its coefficients: they gain, the arm's do not count."""
     arguments = ("excite", folder / "arm.urdf", "--after", folder / "lazy.csv", *OPTIONS)
-    result = run(*arguments, "-o", folder / "payload.csv", "--payload", "1.5", "--rate", "100")
+    result = run(*arguments, "-o", folder / "payload.csv", "--payload", "1.5")
     assert result.exit_code == 0, result.output
     assert "phx: not determined, then " in result.output
     assert "not determined by this motion: pIxx" in result.output
