@@ -221,7 +221,7 @@ def main() -> None:
         train, held_out = (
             jc.load_recording(path, joints=7) for path in (example.train, example.validation)
         )
-        report = jc.identify(network, train, validation=held_out)
+        report = jc.identify(network, train, validation=held_out, friction="offset")
         drawing = picture(report, train, held_out, jc.examples.read_truth(example, report.network))
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
     arguments.output.write_text(drawing, encoding="utf-8")

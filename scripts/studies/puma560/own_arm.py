@@ -89,7 +89,9 @@ def identify_example(folder: Path, *, quick: bool = False) -> OwnArm:
     train, held_out = (
         jc.load_recording(path, joints=7) for path in (example.train, example.validation)
     )
-    report = jc.identify(network, train, validation=held_out, horizon=not quick)
+    report = jc.identify(  # as the command does by default
+        network, train, validation=held_out, friction="offset", horizon=not quick
+    )
     report.save(folder / "results", command=_IDENTIFY + " --simulate" * (not quick))
     truth = np.asarray(jc.examples.read_truth(example, report.network))
     drawing = picture(report, train, held_out, truth)
