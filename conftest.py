@@ -115,7 +115,7 @@ _check_annotations: Any = jaxtyping.jaxtyped
 
 
 class _Calls:
-    """Of a function: of every function with its code if it is local to another."""
+    """Calls of a function, or of all functions with its code if it is local to another."""
 
     __slots__ = ("checks", "count", "first", "kinds")
 

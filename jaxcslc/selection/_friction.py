@@ -65,8 +65,8 @@ PRE_SLIDING = "pre-sliding"
 _ROUNDS = 3
 
 Informed = Callable[[CSLC, Identification], Callable[[Any], Any] | None]
-"""Of a network and its fit, returns what adds knowledge of bodies to fits of parts of the motion,
-or None without such knowledge."""
+"""Function of a network and its fit that returns what adds knowledge of bodies to fits of parts of
+the motion, or None without such knowledge."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What `jaxcslc check` says of 44 kinds of wrong recordings and files, and what stays silent.
+"""Study of what `jaxcslc check` says of 44 kinds of wrong recordings and files.
 
 Each kind comes in three sizes, from mild to gross, on six arms whose files are those of
 manufacturers or of example-robot-data, and whose torques Pinocchio computes. A recording is *named*

@@ -109,7 +109,7 @@ def _study(rows: Rows, jobs: list[Any], missing: list[Any], options: Any) -> int
 
 
 def judged(arm: str, motion: str, file: str, seed: int, offset: float = 0.0) -> dict[str, Any]:
-    """One recording, fitted with and without the file.
+    """Return the errors of one recording, fitted with and without the file.
 
     - `offset`: standard deviation of torque offsets, as a part of each joint's Coulomb friction.
       With such, offsets are identified as the command does by default.
