@@ -216,7 +216,7 @@ def test_version_is_read_from_the_metadata() -> None:
 
 
 def test_wheel_holds_both_packages_whole(tmp_path: Path) -> None:
-    """Robot files, `py.typed` and the command are in the wheel, and nothing beside the packages."""
+    """Robot files, `py.typed`, the command and the pages are in the wheel, and nothing else."""
     subprocess.run(
         [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)],
         cwd=ROOT,
@@ -228,11 +228,14 @@ def test_wheel_holds_both_packages_whole(tmp_path: Path) -> None:
         names = set(wheel.namelist())
         (entry,) = (name for name in names if name.endswith("/entry_points.txt"))
         assert "jaxcslc = jaxcslc.cli:main" in wheel.read(entry).decode()
-    packaged = {name for name in names if ".dist-info/" not in name}
+    packaged = {
+        name.partition(".data/data/")[2] or name for name in names if ".dist-info/" not in name
+    }
+    folders = {"jaxcslc": "jaxcslc", "sim": "sim", "docs": "share/doc/jaxcslc"}
     expected = {
-        path.relative_to(ROOT).as_posix()
-        for package in ("jaxcslc", "sim")
-        for path in (ROOT / package).rglob("*")
+        f"{packed}/{path.relative_to(ROOT / folder).as_posix()}"
+        for folder, packed in folders.items()
+        for path in (ROOT / folder).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
     assert packaged == expected

@@ -1,6 +1,7 @@
 """Texts of help: of the program, of a command, and of a group of its options."""
 
 import shutil
+import sysconfig
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,17 +14,21 @@ ALL = "all"
 
 _LEFT, _LEFT_OF_COMMANDS = 26, 20  # columns of names
 _WIDEST = 100
+_PAGES = "share/doc/jaxcslc"  # as in pyproject.toml
 
 
 def page_address(page: str) -> str:
-    """Return where a page of the documentation is, by its name.
+    """Return a path that opens a page of the documentation, by the page's name.
 
-    Where the package runs from its sources, this is a path that opens from the current folder. An
-    installed package has no pages: the path is that in the sources.
+    It is relative in a checkout's root, and absolute elsewhere: in the checkout whose sources run,
+    or in the folder where the installed package has a copy of the pages.
     """
     address = Path("docs", f"{page}.md")
-    file = Path(__file__).parents[2] / address
-    return str(file if file.is_file() and not address.is_file() else address)
+    schemes = (sysconfig.get_default_scheme(), sysconfig.get_preferred_scheme("user"))
+    installed = [Path(sysconfig.get_path("data", scheme), _PAGES) for scheme in schemes]
+    folders = [address.parent, Path(__file__).parents[2] / "docs", *installed]
+    places = [folder / address.name for folder in folders]
+    return str(next((place for place in places if place.is_file()), address))
 
 
 def program_text(commands: Mapping[str, Mapping[str, str]]) -> str:
