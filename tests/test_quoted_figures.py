@@ -41,7 +41,7 @@ class Claim:
 
 
 def real_robots(table: str, *rows: str) -> tuple[str, ...]:
-    return tuple(f"real_robots.md # {table} | {row} | mean" for row in rows)
+    return tuple(f"real_robots/{table} | {row} | mean" for row in rows)
 
 
 _OURS = ("identify", "identify, best")
@@ -49,12 +49,12 @@ _OFFSETS = "usual pipeline, 20 Hz, WLS and offsets"
 # Rows of the README, tables of real arms, and the variant of the usual pipeline that is best on
 # the judged motion.
 _REAL_CASES = (
-    ("KUKA KR300, motion B", "KUKA KR300 | B", "usual pipeline, 20 Hz, WLS"),
-    ("KUKA KR300, motion C", "KUKA KR300 | C", _OFFSETS),
-    ("KUKA LWR4+, faster motion", "KUKA LWR4+ | hw3", "usual pipeline, 20 Hz, ridge to the file"),
-    ("KUKA LWR4+, same motion", "KUKA LWR4+ | hw2", _OFFSETS),
-    ("Franka Panda, last third", "Franka Panda | last third", _OFFSETS),
-    ("Stäubli TX40, last third", "Stäubli TX40 | last third", _OFFSETS),
+    ("KUKA KR300, motion B", "KUKA KR300, B", "usual pipeline, 20 Hz, WLS"),
+    ("KUKA KR300, motion C", "KUKA KR300, C", _OFFSETS),
+    ("KUKA LWR4+, faster motion", "KUKA LWR4+, hw3", "usual pipeline, 20 Hz, ridge to the file"),
+    ("KUKA LWR4+, same motion", "KUKA LWR4+, hw2", _OFFSETS),
+    ("Franka Panda, last third", "Franka Panda, last third", _OFFSETS),
+    ("Stäubli TX40, last third", "Stäubli TX40, last third", _OFFSETS),
 )
 QUOTES = (
     Quote(
@@ -78,7 +78,7 @@ QUOTES = (
     Quote(
         "docs/scale.md",
         "agree with those of QR to {} of a standard error for well-conditioned motion",
-        ("scale_evidence.md # Factorisation of pieces | motion | a hundredth of it | difference",),
+        ("factorisation/motions | a hundredth of it | difference",),
     ),
     Quote(
         "docs/recordings.md",
@@ -124,52 +124,41 @@ QUOTES = (
         "the last frame of a real KUKA KR300 was {} mm off with physically consistent coefficients,"
         " and {} mm with unconstrained ones",
         tuple(
-            f"uncertainty_evidence.md # Simulation without feedback | horizon [s] | 1 & {row}"
-            " | last frame [mm]"
+            f"kr300_simulated/horizons | 1 & {row} | last frame [mm]"
             for row in ("consistent", "unconstrained")
         ),
     ),
     Quote(
         "docs/servo.md",
         "were found with RMS errors of {} % in gains, {} % in armatures and {} ms in delays",
-        tuple(
-            f"servo_evidence.md # Simulated arms | five joints | {name} | RMS error"
-            for name in ("gain", "armature", "delay")
-        ),
+        tuple(f"servo/five | {name} | RMS error" for name in ("gain", "armature", "delay")),
     ),
     Quote(
         "docs/servo.md",
         "A real SO-101 was simulated to {} mrad on new motion",
-        ("servo_evidence.md # A real SO-101 |  | identified drives | joints 1 to 5",),
+        ("servo_sage/joints | identified drives | joints 1 to 5",),
     ),
     Quote(
         "docs/payload.md",
         "With every disturbance, errors reached {} %",
-        (
-            "payload_evidence.md # Payload: evidence |  | mass after 2 s [%] | all disturbances"
-            " : greatest",
-        ),
+        ("payload/disturbances | mass after 2 s [%] | all disturbances : greatest",),
     ),
     Quote(
         "docs/control.md",
         "brings the arm to rest, in a study within {} s",
-        (
-            "control_evidence.md # Fault detection | fault | stuck encoder | at rest after [s]"
-            " : greatest",
-        ),
+        ("faults/faults | stuck encoder | at rest after [s] : greatest",),
     ),
     Quote(
         "docs/estimators.md",
         "contain the truth in {} % of cases, and in {} % with systematic errors",
         tuple(
-            f"estimators.md # Comparison | all disturbances of the thesis | {row}"
-            " | 95 % intervals that hold"
+            f"estimators/disturbances | {row} | 95 % intervals that hold"
             for row in ("least squares", "least squares, with systematic errors")
         ),
     ),
 )
 
-_SECONDS = "real_robots.md # {} | {} | processor [s]"
+_SECONDS = "real_robots/{} | {} | processor [s]"
 CLAIMS = (
     Claim(
         "README.md",
@@ -187,7 +176,7 @@ CLAIMS = (
         "docs/payload.md",
         "the mass was known to less than 1 % after one second of motion",
         (
-            "payload_evidence.md # Payload: evidence |  | mass after 1 s of motion [%]"
+            "payload/disturbances | mass after 1 s of motion [%]"
             " | static friction as well : greatest",
         ),
         lambda errors: errors[0] < 1,
@@ -196,7 +185,7 @@ CLAIMS = (
         "docs/control.md",
         "every fault of three kinds at every joint was named rightly",
         tuple(
-            f"control_evidence.md # Fault detection | fault | {fault} | named rightly : {which}"
+            f"faults/faults | {fault} | named rightly : {which}"
             for fault in ("lost samples", "stuck encoder", "reversed torque")
             for which in ("least", "greatest")
         ),
@@ -206,8 +195,7 @@ CLAIMS = (
         "docs/checks.md",
         "104 of 108 causes were named first",
         tuple(
-            f"recordings_evidence.md # Causes of spoilt recordings | spoilt | {cause} | named first"
-            f" : {which}"
+            f"checks/causes | {cause} | named first : {which}"
             for cause in (
                 "units",
                 "sign of a joint",
@@ -234,7 +222,7 @@ CLAIMS = (
         "The command takes up to twice as long as with least squares",
         tuple(
             _SECONDS.format(arm, row)
-            for arm in ("KUKA KR300 | B", "Franka Panda | last third", "Stäubli TX40 | last third")
+            for arm in ("KUKA KR300, B", "Franka Panda, last third", "Stäubli TX40, last third")
             for row in ("identify, maximum likelihood", "identify")
         ),
         lambda *seconds: all(
@@ -248,10 +236,10 @@ CLAIMS = (
             tuple(
                 _SECONDS.format(arm, row)
                 for arm in (
-                    "KUKA KR300 | B",
-                    "KUKA LWR4+ | hw3",
-                    "Franka Panda | last third",
-                    "Stäubli TX40 | last third",
+                    "KUKA KR300, B",
+                    "KUKA LWR4+, hw3",
+                    "Franka Panda, last third",
+                    "Stäubli TX40, last third",
                 )
                 for row in ("identify, best", "identify")
             ),
@@ -278,7 +266,7 @@ CLAIMS = (
         "docs/control.md",
         "takes about 0.1 ms in Python, and less than 1 µs in exported C",
         tuple(
-            f"control_evidence.md # Computation time |  | {row} | {arm}"
+            f"control_time/steps | {row} | {arm}"
             for row in (
                 "computed torque with velocity estimation, compiled Python",
                 "computed torque in exported C (`jc.c_code`)",
@@ -293,8 +281,7 @@ CLAIMS = (
         "docs/estimators.md",
         "instruments have 22 times less error than least squares",
         tuple(
-            "estimators.md # Without a choice of smoothing | Gaussian noise: 1e-4 rad, 1 % of"
-            f" torques | {row} | ε [N m]"
+            f"estimators/gaussian, rough | {row} | ε [N m]"
             for row in ("least squares", "instruments, known controller")
         ),
         lambda least, instruments: round(least[0] / instruments[0]) == 22,
@@ -308,10 +295,7 @@ CLAIMS = (
     Claim(
         "docs/generalisation.md",
         "more than fifty times that of the CSLC",
-        tuple(
-            f"generalisation.md # Results |  | tanh {nodes} | over the CSLC's"
-            for nodes in (4, 8, 16)
-        ),
+        tuple(f"generalisation/networks | tanh {nodes} | over the CSLC's" for nodes in (4, 8, 16)),
         lambda *ratios: all(ratio[0] > 50 for ratio in ratios),
     ),
 )

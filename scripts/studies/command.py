@@ -48,7 +48,16 @@ def parse(
     if options.quick:
         parser.set_defaults(**quick)
         options = parser.parse_args(arguments)
+    if options.quick and getattr(options, "store", False):
+        parser.error("--store is for full runs; expected no --quick")
     return options
+
+
+def add_store(parser: argparse.ArgumentParser) -> None:
+    """Adds `--store`, for `stored.store`."""
+    parser.add_argument(
+        "--store", action="store_true", help="keep the tables in docs/results, for evidence pages"
+    )
 
 
 def add_seeds(parser: argparse.ArgumentParser, count: int) -> None:

@@ -1,9 +1,11 @@
-"""Figures that studies have stored: in tables of evidence pages, of the demo, and of benchmarks.
+"""Figures that studies have stored: for evidence pages, of the demo, and of benchmarks.
 
 A figure is named by where it stands:
 
-- `real_robots.md # KUKA KR300 | B | identify | mean`: page, heading, first cell of the table's head
-  (empty if it has none), row, column;
+- `payload/disturbances | mass after 2 s [%] | all disturbances`: table of `docs/results`, row,
+  column;
+- `puma_a_b.md # Effect on the torque | PUMA | A | all`: a page that a program writes whole,
+  heading, first cell of the table's head, row, column;
 - `demo/errors_a.csv | mean ε | Ar+LS`: table of `scripts/tools/thesis/results`, row, column;
 - `benchmark urdf.identify`: a metric of `scripts/benchmarks/stored`, of each machine.
 
@@ -14,8 +16,10 @@ the text of the cell above.
 import csv
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+
+from scripts.studies.stored import table
 
 
 ROOT = Path(__file__).parents[2]
@@ -30,12 +34,8 @@ def stored(reference: str) -> list[float]:
     >>> stored("demo/peaks.csv | 2 | PUMA A [N m]")[0] > 0
     True
     """
-    place, _, rest = reference.partition("|")
-    place, keys = place.strip(), [part.strip() for part in rest.split("|")]
-    if place.startswith("benchmark "):
-        figures = list(_benchmarks(place.removeprefix("benchmark ").strip()))
-    elif place.endswith(".csv"):
-        figures = [float(_demo(place, *keys))]
+    if reference.startswith("benchmark "):
+        figures = list(_benchmarks(reference.removeprefix("benchmark ").strip()))
     else:
         figures = [numbers_of(cell_named(reference))[0]]
     if not figures:
@@ -56,59 +56,59 @@ def numbers_of(cell: str) -> list[float]:
 
 
 def cell_named(reference: str) -> str:
-    """Return the cell of a table of docs/ that a reference names."""
+    """Return the cell that a reference names, of a table of text.
+
+    **Raises** `ValueError` if there is no such cell.
+
+    >>> cell_named("payload/disturbances | picked up, detected after [s] | all disturbances")
+    '1.5, 0.45, 0.32'
+    """
     place, *keys = (part.strip() for part in reference.split("|"))
-    page, _, heading = place.partition("#")
-    return cell_of(page.strip(), heading.strip(), *keys)
-
-
-def cell_of(page: str, heading: str, head: str, row: str, column: str) -> str:
-    """Return a cell of a table of docs/."""
-    for title, names, rows in tables(page):
-        if title != heading or names[0] != head:
-            continue
+    *head, row, column = keys
+    for rows in _tables(place, *head):
+        names, *body = ([_plain(cell) for cell in cells] for cells in rows)
         if column not in names:
             continue
         above = [""] * len(names)
-        for cells in rows:
-            filled = [cell or before for cell, before in zip(cells, above, strict=True)]
+        for cells in body:
+            above = [cell or before for cell, before in zip(cells, above, strict=True)]
             parts = row.split(" & ")
-            if filled[: len(parts)] == parts:
+            if above[: len(parts)] == parts:
                 return cells[names.index(column)]
-            above = filled
-    raise ValueError(f"{page} # {heading} | {head} | {row} | {column}: there is no such cell")
+    raise ValueError(f"{reference}: there is no such cell")
 
 
-def tables(page: str) -> Iterator[tuple[str, list[str], list[list[str]]]]:
-    """Heading, head and rows of every table of a page of docs/."""
-    title, block = "", list[str]()
+def _tables(place: str, head: str = "") -> Iterator[Sequence[Sequence[str]]]:
+    """Tables that a reference may mean, each with its head first."""
+    page, hash_sign, heading = place.partition("#")
+    if hash_sign:
+        for title, rows in _tables_of_page(page.strip()):
+            if title == heading.strip() and _plain(rows[0][0]) == head:
+                yield rows
+    elif place.endswith(".csv"):
+        path = ROOT / "scripts" / "tools" / "thesis" / "results" / place
+        with path.open(encoding="utf-8", newline="") as file:
+            yield list(csv.reader(file))
+    else:
+        yield table(place)
+
+
+def _tables_of_page(page: str) -> Iterator[tuple[str, list[list[str]]]]:
+    """Heading and rows of every table of a page of docs/."""
+    title, block = "", list[list[str]]()
     for line in [*(ROOT / "docs" / page).read_text("utf-8").splitlines(), ""]:
         if line.startswith("|"):
-            block.append(line)
+            block.append(re.split(r"(?<!\\)\|", line.strip()[1:-1]))
             continue
-        if len(block) > 2:
-            head, _, *body = ([_plain(cell) for cell in _cells(row)] for row in block)
-            yield title, head, body
+        if block:
+            yield title, [block[0], *block[2:]]
         block = []
         if line.startswith("#"):
             title = line.lstrip("#").strip()
 
 
-def _cells(row: str) -> list[str]:
-    return re.split(r"(?<!\\)\|", row.strip()[1:-1])
-
-
 def _plain(cell: str) -> str:
     return cell.strip().replace("**", "").replace("\\|", "|")
-
-
-def _demo(place: str, row: str, column: str) -> str:
-    path = ROOT / "scripts" / "tools" / "thesis" / "results" / place
-    with path.open(encoding="utf-8", newline="") as file:
-        for cells in csv.DictReader(file):
-            if next(iter(cells.values())) == row and column in cells:
-                return cells[column]
-    raise ValueError(f"{place} | {row} | {column}: there is no such figure")
 
 
 def _benchmarks(name: str) -> Iterator[float]:

@@ -15,12 +15,10 @@ that the settings' masks leave in. All are judged on the same motion, smoothed a
 chose on the training recording, with friction at rest as `predicted_torque` has it; the usual
 pipeline also on its own motion, and with friction by the sign of velocity, and the best counts.
 
-Rows of finished arms are kept in `rows.jsonl`; an interrupted run goes on from there. `--page`
-writes the page of the documentation.
+Rows of finished arms are kept in `rows.jsonl`; an interrupted run goes on from there.
 """
 
 import argparse
-import datetime
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,8 +37,9 @@ from scripts.studies import command
 from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm, read
 from scripts.studies.real_robots.methods import FAMILIES, PIPELINE, Model, evenly
-from scripts.studies.real_robots.page import page_text
+from scripts.studies.real_robots.tables import tables
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 
 
 jc.enable_x64()
@@ -179,17 +178,14 @@ def study(options: argparse.Namespace) -> int:
         ],
     )
     print(f"wrote {options.output / 'errors.csv'}")
-    if options.page is not None:
-        text = page_text(results, datetime.date.today().isoformat())
-        options.page.write_text(text, encoding="utf-8")
-        print(f"wrote {options.page}")
+    store(options, "real_robots", "one recording of each motion", tables(results))
     return 0
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = by_arm.new_parser(__doc__, "real_robots")
     parser.add_argument("--methods", nargs="+", default=list(FAMILIES), help=", ".join(FAMILIES))
-    parser.add_argument("--page", type=Path, help="page of the documentation to write")
+    command.add_store(parser)
     options = by_arm.parse(parser, argv, arms=["KUKA KR300"], methods=["usual"])
     command.require_some_of(parser, "family of methods", options.methods, tuple(FAMILIES))
     return command.run(

@@ -9,6 +9,7 @@ import pytest
 from mujoco import sysid
 
 import jaxcslc as jc
+from scripts.studies import stored
 from scripts.studies.real_robots import (
     arms,
     hysteresis,
@@ -21,7 +22,7 @@ from scripts.studies.real_robots import (
     study,
 )
 from scripts.studies.real_robots.methods import Model
-from scripts.studies.real_robots.page import page_text
+from scripts.studies.real_robots.tables import tables
 
 
 def pendulum(folder: Path) -> arms.Arm:
@@ -48,14 +49,15 @@ def test_rows_page_and_resumption(
     monkeypatch.setitem(arms.READERS, "pendulum", ("pendulum", read))  # type: ignore[arg-type]
     (tmp_path / "pendulum").mkdir()
     monkeypatch.setitem(study.SECONDS, "pendulum", 1.0)
-    page = tmp_path / "page.md"
+    monkeypatch.setattr(stored, "RESULTS", tmp_path)
     arguments = ["--data", str(tmp_path), "--arms", "pendulum", "--methods", "usual"]
-    arguments += ["-o", str(tmp_path / "out"), "--page", str(page)]
+    arguments += ["-o", str(tmp_path / "out"), "--store"]
     assert study.main(arguments) == study.main(arguments) == 0
     assert len(calls) == 1
     assert "usual pipeline, 20 Hz, OLS" in capsys.readouterr().out
-    table = [line for line in page.read_text("utf-8").splitlines() if "20 Hz, WLS |" in line]
-    error = float(table[0].split("|")[2].split("/")[0].strip(" *"))
+    rows = stored.table("real_robots/pendulum, again")
+    (row,) = (row for row in rows if row[0] == "usual pipeline, 20 Hz, WLS")
+    error = float(row[1].split("/")[0].strip(" *"))
     assert 0.0 < error < 5.0  # the ends of the filter, and a 20 Hz low pass of 3 rad/s
 
 
@@ -65,10 +67,9 @@ def test_the_least_error_is_bold() -> None:
         row | {"method": "first", "all": [10.0, 3.0], "judged": [5.0, 2.0]},
         row | {"method": "second", "all": [9.0, 3.02], "judged": [6.0, 2.0]},
     ]
-    text = page_text([{"arm": "arm", "source": "s", "split": "w", "rows": rows}], "2026-11-22")
-    assert "| first | 10.0 / 5.0 | **3.0** / 2.0 | 6.5 / 3.5 | 1 |" in text
-    assert "| second | **9.0** / 6.0 | **3.0** / 2.0 |" in text
-    assert text.endswith("Figures of 2026-11-22.\n")
+    _, first, second, _ = tables([{"arm": "arm", "rows": rows}])["arm, B"]
+    assert first == ["first", "10.0 / 5.0", "**3.0** / 2.0", "6.5 / 3.5", "1"]
+    assert second[:3] == ["second", "**9.0** / 6.0", "**3.0** / 2.0"]
 
 
 def test_errors_are_parts_of_the_raw_torque() -> None:

@@ -1,9 +1,10 @@
-"""Draw the charts at the top of evidence pages, from the tables below them.
+"""Fill the tables of evidence pages from their stored results, and draw their charts.
 
-    python -m scripts.tools.evidence_charts
+    python -m scripts.tools.evidence
 
-A bar is a stored figure (`stored_figures.py`), so that a chart and its page agree. A test draws
-them again and fails if a picture in docs/images/evidence is another.
+Tables are those of `docs/results` (`scripts/studies/stored.py`), and bars are stored figures
+(`stored_figures.py`), so that a chart and its page agree. A test fails if a page or a picture in
+docs/images/evidence is another.
 """
 
 import contextlib
@@ -12,10 +13,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from scripts.studies.stored import filled
 from scripts.tools.stored_figures import stored
 
 
-FOLDER = Path(__file__).parents[2] / "docs" / "images" / "evidence"
+DOCS = Path(__file__).parents[2] / "docs"
+FOLDER = DOCS / "images" / "evidence"
 # Far apart in hue and in lightness (Okabe and Ito).
 _COLOURS = ("#0072b2", "#e69f00", "#3b3b3b", "#56b4e9", "#d55e00")
 _BAR, _GAP, _LEFT, _WIDTH, _TOP = 13, 10, 250, 760, 64  # pixels
@@ -60,18 +63,18 @@ def _same(*names: str) -> dict[str, str]:
 
 
 _ARMS = {
-    "KUKA KR300, motion B": "KUKA KR300 | B",
-    "KUKA KR300, motion C": "KUKA KR300 | C",
-    "KUKA LWR4+, faster motion": "KUKA LWR4+ | hw3",
-    "KUKA LWR4+, same motion": "KUKA LWR4+ | hw2",
-    "Franka Panda": "Franka Panda | last third",
-    "Stäubli TX40": "Stäubli TX40 | last third",
+    "KUKA KR300, motion B": "KUKA KR300, B",
+    "KUKA KR300, motion C": "KUKA KR300, C",
+    "KUKA LWR4+, faster motion": "KUKA LWR4+, hw3",
+    "KUKA LWR4+, same motion": "KUKA LWR4+, hw2",
+    "Franka Panda": "Franka Panda, last third",
+    "Stäubli TX40": "Stäubli TX40, last third",
 }
 
 CHARTS: Mapping[str, Chart] = {
     "file_prior": Chart(
         "Torque error of new motion with the file as prior, over two others, median",
-        "file_prior_evidence.md # Right and wrong files | file | {group} | {series}",
+        "file_prior/files | {group} | {series}",
         {
             "usual file": "usual: masses 20 %, centres 2 cm",
             "half the masses": "half the masses",
@@ -84,7 +87,7 @@ CHARTS: Mapping[str, Chart] = {
     ),
     "real_robots": Chart(
         "Held-out torque error, mean of the joints [% of the torque]",
-        "real_robots.md # {group} | {series} | mean",
+        "real_robots/{group} | {series} | mean",
         _ARMS,
         {
             "usual pipeline, best variant": tuple(
@@ -103,7 +106,7 @@ CHARTS: Mapping[str, Chart] = {
     ),
     "estimators": Chart(
         "95 % intervals that contain the truth [%]",
-        "estimators.md # Comparison | {series} | {group} | 95 % intervals that hold",
+        "estimators/{series} | {group} | 95 % intervals that hold",
         _same(
             "least squares",
             "least squares, with systematic errors",
@@ -111,17 +114,17 @@ CHARTS: Mapping[str, Chart] = {
             "instruments, observer",
             "direct dynamics, known controller",
         ),
-        {"encoders": "encoders", "all disturbances": "all disturbances of the thesis"},
+        {"encoders": "encoders", "all disturbances": "disturbances"},
     ),
     "likelihood": Chart(
         "Held-out torque error on real arms, mean of the joints [%]",
-        "real_robots.md # {group} | {series} | mean",
+        "real_robots/{group} | {series} | mean",
         _ARMS,
         {"identify": "identify", "maximum likelihood": "identify, maximum likelihood"},
     ),
     "friction": Chart(
         "KUKA KR300, motion B: torque error by friction at standstill [%]",
-        "friction_evidence.md # Joints at standstill | motion | {series} | {group}",
+        "rests/errors | {series} | {group}",
         {f"joint {joint}": str(joint) for joint in range(1, 7)},
         {
             "by the sign of velocity": "KUKA KR300, B & by the sign of velocity",
@@ -130,7 +133,7 @@ CHARTS: Mapping[str, Chart] = {
     ),
     "uncertainty": Chart(
         "Of 43 intervals of 95 %, those that contain the truth",
-        "uncertainty_evidence.md # Systematic errors |  | {group} | {series}",
+        "systematic/causes | {group} | {series}",
         _same(
             "PUMA A, encoders",
             "PUMA A, all disturbances",
@@ -141,7 +144,7 @@ CHARTS: Mapping[str, Chart] = {
     ),
     "excitation": Chart(
         "Mean error of the coefficients, by motion [%]",
-        "excitation_evidence.md # Results | motion | {group} | {series}",
+        "excitation/motions | {group} | {series}",
         _same(
             "designed: overall",
             "designed: mean standard error",
@@ -163,7 +166,7 @@ CHARTS: Mapping[str, Chart] = {
     ),
     "recordings": Chart(
         "Exported files: torque error over that of the fit, geometric mean of ten recordings",
-        "recordings_evidence.md # Exported files | recording | {group} | {series}",
+        "possible_bodies/files | {group} | {series}",
         _same("20 s, half of the top speed", "20 s, slow: 15 % of it", "5 s, 30 % of it"),
         {
             "URDF and motor inertias": "URDF and motor inertias",
@@ -172,7 +175,7 @@ CHARTS: Mapping[str, Chart] = {
     ),
     "systems": Chart(
         "Coefficients within two standard errors of the truth [%]; 95.4 are expected",
-        "systems_evidence.md # Examples | system | {group} | {series}",
+        "systems/coverage | {group} | {series}",
         {
             "cart-pole": "cart-pole, 6 coefficients",
             "vehicle": "vehicle, 3",
@@ -184,7 +187,7 @@ CHARTS: Mapping[str, Chart] = {
     ),
     "control": Chart(
         "Error of the hand, median of twenty simulated arms [mm RMS]",
-        "control_evidence.md # Benefit of identification |  | {group} | {series}",
+        "control/tracking | {group} | {series}",
         {
             "PID": "PID, the thesis's gains",
             "published (Ar+LS)": "computed torque, Ar+LS",
@@ -196,7 +199,7 @@ CHARTS: Mapping[str, Chart] = {
     ),
     "servo": Chart(
         "A real SO-101: simulated position error on held-out motion [mrad RMS]",
-        "servo_evidence.md # A real SO-101 |  | {series} | {group}",
+        "servo_sage/joints | {series} | {group}",
         _same(
             "joints 1 to 5",
             "shoulder pan",
@@ -213,7 +216,7 @@ CHARTS: Mapping[str, Chart] = {
     ),
     "payload": Chart(
         "Payload of 0.5 kg: detected after [s]",
-        "payload_evidence.md # Payload: evidence |  | {series} | {group}",
+        "payload/disturbances | {series} | {group}",
         _same("quantised encoders", "static friction as well", "all disturbances"),
         {
             "picked up": "picked up, detected after [s]",
@@ -222,13 +225,13 @@ CHARTS: Mapping[str, Chart] = {
     ),
     "peral": Chart(
         "Epochs until the goal, linear classes and CSLC",
-        "peral.md # Results |  | {group} | {series}",
+        "peral_classes/epochs | {group} | {series}",
         _same("linear, correlated inputs", "logistic, correlated inputs", "CSLC, 3 joints"),
         {"backpropagation": "backpropagation", "with PERAL": "indicator", "L-BFGS": "L-BFGS"},
     ),
     "generalisation": Chart(
         "ε on training and on comparison motion, median of ten seeds [N m]",
-        "generalisation.md # Results |  | {group} | {series}",
+        "generalisation/networks | {group} | {series}",
         {"CSLC": "CSLC", **{f"tanh, {n} nodes": f"tanh {n}" for n in (4, 8, 16)}},
         {"training": "training", "comparison": "comparison"},
     ),
@@ -246,7 +249,7 @@ CHARTS: Mapping[str, Chart] = {
     ),
     "simulator": Chart(
         "Torque error of 1,024 simulated PUMA 560s [N m]",
-        "simulator_evidence.md # A thousand machines |  | {group} | {series}",
+        "thousand/errors | {group} | {series}",
         {
             "published coefficients (Ar+LS)": "Ar+LS",
             "trained network": "trained",
@@ -257,8 +260,7 @@ CHARTS: Mapping[str, Chart] = {
     ),
     "ultrasound": Chart(
         "Comparison patterns that are classified correctly, of 3,150 for training [%]",
-        "ultrasound.md # Comparison patterns | patterns | 3,150 & {group} & {series}"
-        " | comparison patterns correct",
+        "ultrasound_comparison/patterns | 3,150 & {group} & {series} | comparison patterns correct",
         {"inputs as they are": "as they are", "inputs centred": "centred"},
         {"backpropagation": "end of backpropagation", "PERAL": "end of PERAL"},
     ),
@@ -322,6 +324,11 @@ def _text(x: float, y: float, text: str, *, anchor: str = "start", weight: str =
 
 
 def main() -> None:
+    for path in sorted(DOCS.glob("*.md")):
+        page = path.read_text("utf-8")
+        if (now := filled(page)) != page:
+            path.write_text(now, encoding="utf-8")
+            print(f"filled the tables of {path}")
     FOLDER.mkdir(parents=True, exist_ok=True)
     for name, chart in CHARTS.items():
         (FOLDER / f"{name}.svg").write_text(drawn(chart), encoding="utf-8")
