@@ -35,6 +35,7 @@ PAGES = (
     "report.md",
     "excitation.md",
     "comparison.md",
+    "preparation.md",
 )
 
 

@@ -81,7 +81,7 @@ QUOTES = (
         ("factorisation/motions | a hundredth of it | difference",),
     ),
     Quote(
-        "docs/recordings.md",
+        "docs/several.md",
         "600,000 samples of a geared 7-joint arm take {} to {} s and {} to {} GB",
         (
             "benchmark identify.600000_samples : min",

@@ -170,7 +170,7 @@ def test_a_report_says_how_far_and_keeps_the_standard_error(
     )
     report = jc.identify(network, recording, settings=jc.Settings(), possible="never", checks=False)
     assert set(report.systematic.within) == {TORQUE_SCALE, CLOCK, ZEROS, SHOWN_SCALE}
-    assert "Nothing rules out a larger one." in report.verdict
+    assert "Nothing excludes a larger one." in report.verdict
     assert "coefficients well determined up to scale" in report.verdict
     row = report["kv1"]
     assert row["standard_error"] == float(report.fit.standard_error[network.names.index("kv1")])

@@ -176,15 +176,15 @@ def _scale_statement(systematic: SystematicError | None) -> str:
 
     >>> within = {"torque scale": "± 6 %", "torque scale shown": "± 40 %"}
     >>> _scale_statement(SystematicError({}, within)).partition(". ")[2]
-    "The masses in the robot's file rule out only more than 40 %."
+    "The masses in the robot's file exclude only scale errors above 40 %."
     """
     shown = None if systematic is None else systematic.within.get(SHOWN_SCALE)
     if systematic is None or shown is None:
         return ""
-    return f" Intervals allow for a torque scale error of {systematic.within[TORQUE_SCALE]}. " + (
-        "Nothing rules out a larger one."
+    return f" Intervals include a torque scale error of {systematic.within[TORQUE_SCALE]}. " + (
+        "Nothing excludes a larger one."
         if shown == "nothing"
-        else f"The masses in the robot's file rule out only more than {shown[2:]}."
+        else f"The masses in the robot's file exclude only scale errors above {shown[2:]}."
     )
 
 

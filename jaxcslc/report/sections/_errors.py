@@ -156,7 +156,7 @@ class QualitySection(AbstractSection):
         noisy = beyond[worst] ** 2 < 0.5 * percent[worst] ** 2
         remarks = ", mostly sensor noise" if noisy else ""
         if other > _NOTABLY * percent[worst]:
-            remarks += f"; with masked samples up to {other:.2g} %"
+            remarks += f"; with samples near standstill, up to {other:.2g} %"
         yield Message(
             f"Replay of the {name} recording: {report.model.error_kind} errors are"
             f" {_range(percent, names)} of the RMS {quantity}{remarks}.",

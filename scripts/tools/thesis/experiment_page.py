@@ -82,7 +82,7 @@ _INTERVALS_RESULT = """\
 Of 43 intervals, 95 % are 41. Those of the standard error alone fall short. The viscous friction of
 the wrist is within 2 % of the truth on both machines. The reason is that a sample has the mean of
 the demands before and after it ([which torque belongs to a
-sample](recordings.md#torque-of-a-sample)). The one interval that does not contain the
+sample](preparation.md#torque-of-a-sample)). The one interval that does not contain the
 truth is that of PUMA A's kM8.
 """
 
