@@ -124,7 +124,7 @@ class ReadingBlock(AbstractResidualBlock):
 
     def residuals(self, point: Point) -> Float[np.ndarray, "samples joints"]:
         """Return recorded minus predicted positions."""
-        return self.position - point.q[:, : self.position.shape[1]] - point.offset[self.part]
+        return self.position - point.q - point.offset[self.part]
 
     def derivatives(self, point: Point, scale: Scale) -> "ReadingDerivatives":
         """Return derivatives by positions and offsets."""
@@ -196,24 +196,23 @@ class MotionBlock(AbstractResidualBlock):
     - `record`: torques as recorded.
     - `signs`: directions and reversals.
     - `sticking`: equations that bound friction at break-away; None if there are none.
-    - `truncation`: (equations, series) torque that is added to what equations predict [N m or N].
+    - `truncation`: (equations, n) torque that is added to what equations predict [N m or N].
     """
 
     equations: AbstractEquations
     record: TorqueRecord
     signs: Signs
-    weight: Float[np.ndarray, "equations series"]
+    weight: Float[np.ndarray, "equations joints"]
     sticking: Sticking | None = None
-    truncation: Float[np.ndarray, "equations series"] | float = 0.0
+    truncation: Float[np.ndarray, "equations joints"] | float = 0.0
 
     def at(self, point: Point) -> EquationPoint:
         """Return what equations need to know of a point."""
         turns, direction = self.signs.turns(point.turn), self.signs.direction
         return EquationPoint(point.k, point.laws, point.q, turns, direction)
 
-    def residuals(self, point: Point) -> Float[np.ndarray, "equations series"]:
-        """Return recorded minus predicted torque; of equations without torque, minus what these
-        predict."""
+    def residuals(self, point: Point) -> Float[np.ndarray, "equations joints"]:
+        """Return recorded minus predicted torque."""
         return self._left(self.equations.torque(self.at(point)))
 
     def derivatives(self, point: Point, scale: Scale) -> "MotionDerivatives":
@@ -222,7 +221,7 @@ class MotionBlock(AbstractResidualBlock):
 
     def linearised(
         self, point: Point, scale: Scale
-    ) -> tuple[Float[np.ndarray, "equations series"], "MotionDerivatives"]:
+    ) -> tuple[Float[np.ndarray, "equations joints"], "MotionDerivatives"]:
         """Return both from one evaluation; without moments of reversals that are at a bound."""
         signs = self.signs
         values = self.equations.linearised(self.at(point))
@@ -240,17 +239,14 @@ class MotionBlock(AbstractResidualBlock):
         """Return whether some equations are bounds."""
         return self.sticking is not None
 
-    def law(self, residuals: Float[np.ndarray, "equations series"]) -> WorkingReadings:
+    def law(self, residuals: Float[np.ndarray, "equations joints"]) -> WorkingReadings:
         """Return the law of equations: of bounds, minus twice their logarithm."""
         if self.sticking is None:
             return super().law(residuals)
         return self.sticking.working(residuals, self.weight)
 
-    def _left(self, predicted: np.ndarray) -> Float[np.ndarray, "equations series"]:
-        result = -np.asarray(predicted) - self.truncation
-        recorded = self.record.averaged
-        result[:, : recorded.shape[1]] += recorded
-        return result
+    def _left(self, predicted: np.ndarray) -> Float[np.ndarray, "equations joints"]:
+        return self.record.averaged - np.asarray(predicted) - self.truncation
 
 
 @dataclasses.dataclass(frozen=True)
@@ -259,24 +255,24 @@ class MotionDerivatives(AbstractDerivatives):
 
     **Attributes**
 
-    - `by_position`: (equations, series, 3 series) by the positions at three samples.
+    - `by_position`: (equations, n, 3 n) by the positions at three samples.
     - `by_border`: by the border, in units of its scale.
     - `by_turn`: (3, reversals) from the equation one sample before a reversal's on.
     """
 
     signs: Signs
-    by_position: Float[np.ndarray, "equations series positions"]
+    by_position: Float[np.ndarray, "equations joints positions"]
     by_border: JointColumns
     by_turn: Float[np.ndarray, "rows reversals"]
 
-    def changes(self, step: Step) -> Float[np.ndarray, "equations series"]:
+    def changes(self, step: Step) -> Float[np.ndarray, "equations joints"]:
         """Return changes with positions, the border and moments of reversals."""
         result = equation_changes(self.by_position, self.by_border, step.position, step.border)
         for reversals, rows, joints, derivative in self.turns:
             np.add.at(result, (rows, joints), derivative * step.turn[reversals])
         return result
 
-    def add_gradient(self, force: Float[np.ndarray, "equations series"], total: Step) -> None:
+    def add_gradient(self, force: Float[np.ndarray, "equations joints"], total: Step) -> None:
         """Add the gradient by positions, the border and moments of reversals."""
         position, border = equation_gradients(self.by_position, self.by_border, force)
         total.position[:] += position
@@ -284,7 +280,7 @@ class MotionDerivatives(AbstractDerivatives):
         total.turn[:] += self.turn_gradient(force)
 
     def turn_gradient(
-        self, force: Float[np.ndarray, "equations series"]
+        self, force: Float[np.ndarray, "equations joints"]
     ) -> Float[np.ndarray, " reversals"]:
         """Return derivatives by moments of reversals."""
         result = np.zeros(self.by_turn.shape[1])
@@ -292,7 +288,7 @@ class MotionDerivatives(AbstractDerivatives):
             result[reversals] += derivative * force[rows, joints]
         return result
 
-    def add_squares(self, weight: Float[np.ndarray, "equations series"], normal: Normal) -> None:
+    def add_squares(self, weight: Float[np.ndarray, "equations joints"], normal: Normal) -> None:
         """Add squares of all unknowns."""
         result, order = normal.equations, normal.order
         by_border = self.by_border.among(normal.free)
@@ -344,17 +340,16 @@ class RestBlock(ConstantBlock):
 
     def residuals(self, point: Point) -> Float[np.ndarray, "intervals joints"]:
         """Return minus the motion of an interval."""
-        return -np.diff(point.q[:, : self.weight.shape[1]], axis=0)
+        return -np.diff(point.q, axis=0)
 
     def changes(self, step: Step) -> Float[np.ndarray, "intervals joints"]:
         """Return changes with positions."""
-        return np.diff(step.position[:, : self.weight.shape[1]], axis=0)
+        return np.diff(step.position, axis=0)
 
     def add_gradient(self, force: Float[np.ndarray, "intervals joints"], total: Step) -> None:
         """Add the gradient by positions."""
-        n = self.weight.shape[1]
-        total.position[1:, :n] += force
-        total.position[:-1, :n] -= force
+        total.position[1:] += force
+        total.position[:-1] -= force
 
     def add_squares(self, weight: Float[np.ndarray, "intervals joints"], normal: Normal) -> None:
         """Add squares of the two positions of an interval."""

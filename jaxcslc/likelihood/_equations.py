@@ -31,8 +31,8 @@ from ._joint_friction import JointFriction, JointMotion
 from ._readings import triangle_mean
 
 
-Samples = Float[np.ndarray, "samples series"]
-Rows = Float[np.ndarray, "equations series"]
+Samples = Float[np.ndarray, "samples joints"]
+Rows = Float[np.ndarray, "equations joints"]
 Turns = Float[np.ndarray, "equations joints"]
 Joints = Float[np.ndarray, " joints"]
 Coefficients = Float[np.ndarray, " coefficients"]
@@ -48,14 +48,14 @@ class Linearisation(NamedTuple):
 
     **Attributes**
 
-    - `torque`: (equations, series): joints, and what else moves.
-    - `by_position`: (equations, series, 3 series), by the positions at three samples.
+    - `torque`: (equations, n).
+    - `by_position`: (equations, n, 3 n), by the positions at three samples.
     - `by_coefficient`: p + n columns: by `k`, then by the logarithms of slopes.
     - `by_turn`: (equations, n), by the moment at which the joint turns.
     """
 
-    torque: Float[np.ndarray, "equations series"]
-    by_position: Float[np.ndarray, "equations series positions"]
+    torque: Float[np.ndarray, "equations joints"]
+    by_position: Float[np.ndarray, "equations joints positions"]
     by_coefficient: JointColumns
     by_turn: Float[np.ndarray, "equations joints"]
 
@@ -66,7 +66,7 @@ class EquationPoint(NamedTuple):
     **Attributes**
 
     - `k`: (p,); `laws`: (n,) logarithms of slopes of static friction, and what else equations have.
-    - `q`: (samples, series) positions; joints come first.
+    - `q`: (samples, n) positions.
     - `turn`: (equations, n) when a joint turns, in intervals about the sample; -1 for one that
       moves one way. `direction`: 1 or -1, the sign of velocity after `turn`.
     """
@@ -96,7 +96,7 @@ class AbstractEquations(abc.ABC):
 
     @abc.abstractmethod
     def torque(self, at: EquationPoint) -> Rows:
-        """Return torque of every equation, (equations, series)."""
+        """Return torque of every equation, (equations, n)."""
 
     @abc.abstractmethod
     def linearised(self, at: EquationPoint) -> Linearisation:
@@ -119,7 +119,7 @@ class AbstractEquations(abc.ABC):
         time: Float[np.ndarray, " samples"],
         part: Int[np.ndarray, " samples"],
     ) -> Rows:
-        """Return truncation errors of sampled torques at present positions, (equations, series)."""
+        """Return truncation errors of sampled torques at present positions, (equations, n)."""
         del time, part
         return np.zeros((len(at.q) - 2, at.q.shape[1]))
 
@@ -127,11 +127,6 @@ class AbstractEquations(abc.ABC):
     def presliding_distance(self) -> Joints:
         """(n,) of pre-sliding [rad or m]; 0 where dry friction follows the sign of velocity."""
         return np.zeros(self.network.joint_count)
-
-    def noise(self, torque_noise: Float[np.ndarray, "recordings joints"]) -> np.ndarray:
-        """Return (recordings, series) of all equations, from that of the motors' torque [N m or
-        N]."""
-        return torque_noise
 
     def states(self, k: Coefficients) -> tuple[Joints, Rows | float]:
         """Return (n,) friction that has a state, 0 of joints without one [N m or N]; and

@@ -112,7 +112,7 @@ def eliminated_rows(
     first, last = stretch.start, stretch.stop
     equations = slice(max(first - 1, 0), max(min(last - 1, len(order.position) - 2), 0))
     count, n = last - first, linear.readings.joints
-    motion, series = linear.motion, order.position.shape[1]
+    motion = linear.motion
     within = equations.start + 1 - first  # of the first equation among the samples
 
     torque = motion.by_border.between(equations).dense
@@ -122,21 +122,18 @@ def eliminated_rows(
         inside = np.flatnonzero((equation >= equations.start) & (equation < equations.stop))
         turned = derivative[inside, None] * eliminated[order.turn[reversals[inside]]]
         np.subtract.at(torque, (equation[inside] - equations.start, joint[inside]), turned)
-    reading = -eliminated[order.position[stretch, :n]]
+    reading = -eliminated[order.position[stretch]]
     sample, joints = np.indices((count, n))
     offset = linear.readings.offset[stretch]
     reading[sample, joints, offset] += objective.scale[offset]
 
     of_torque, of_position = weights["torque"][equations], weights["position"][stretch]
-    result, scaled = (
-        np.zeros((count, series + n, len(objective.scale))),
-        np.zeros((count, series + n)),
-    )
+    result, scaled = np.zeros((count, 2 * n, len(objective.scale))), np.zeros((count, 2 * n))
     rows = slice(within, within + len(of_torque))
-    result[rows, :series] = torque * np.sqrt(of_torque)[:, :, None]
-    result[:, series:] = reading * np.sqrt(of_position)[:, :, None]
-    scaled[rows, :series] = residuals["torque"][equations] * np.sqrt(of_torque)
-    scaled[:, series:] = residuals["position"][stretch] * np.sqrt(of_position)
+    result[rows, :n] = torque * np.sqrt(of_torque)[:, :, None]
+    result[:, n:] = reading * np.sqrt(of_position)[:, :, None]
+    scaled[rows, :n] = residuals["torque"][equations] * np.sqrt(of_torque)
+    scaled[:, n:] = residuals["position"][stretch] * np.sqrt(of_position)
     return result, np.matmul(scaled[:, None], result)[:, 0]
 
 
@@ -520,14 +517,14 @@ class Misfit:
     mask: Bool[np.ndarray, "equations joints"]
 
     @classmethod
-    def of(cls, minimum: Minimum, part: Int[np.ndarray, " samples"], joints: int) -> "Misfit":
+    def of(cls, minimum: Minimum, part: Int[np.ndarray, " samples"]) -> "Misfit":
         """Read it off the minimum of a search; `part`: number of the recording of each sample."""
         left, of_equation = minimum.linear.residuals, part[1:-1]
         error = np.hypot(
-            left["torque"][:, :joints] / minimum.torque_noise[of_equation],
+            left["torque"] / minimum.torque_noise[of_equation],
             left["position"][1:-1] / minimum.position_noise[of_equation],
         )
-        return cls(error, left["torque"][:, :joints], minimum.counted)
+        return cls(error, left["torque"], minimum.counted)
 
 
 class BorderErrors(NamedTuple):
@@ -573,11 +570,11 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors, **fields: An
     - `fields`: those of `SPACED`, with the defaults of `LikelihoodFit`.
     """
     point, p, n = minimum.point, network.size, network.joint_count
-    residual, used = minimum.linear.residuals["torque"][:, :n], minimum.counted
+    residual, used = minimum.linear.residuals["torque"], minimum.counted
     counts = used.sum(axis=0).astype(float)
     reported, spectrum, covariance, independent, error = border_errors(minimum, errors)
     systematic = None
-    if errors == "correlated" and point.q.shape[1] == n:
+    if errors == "correlated":
         systematic = systematic_errors(
             minimum.linear, minimum.factored, point, used, reported.effective
         )
@@ -615,7 +612,7 @@ def likelihood_fit(network: CSLC, minimum: Minimum, errors: Errors, **fields: An
         slope_error=slopes * error[p : p + n],
         offset=point.offset,
         offset_error=error[point.layout.part("offset")].reshape(point.offset.shape),
-        position=point.q[:, :n],
+        position=point.q,
         torque_noise=minimum.torque_noise,
         position_noise=minimum.position_noise,
         edge=np.zeros_like(point.offset) if intervals is None else intervals.edges(part),

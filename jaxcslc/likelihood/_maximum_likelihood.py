@@ -263,7 +263,7 @@ class MaximumLikelihood:
             fixed_levels=True,
             tolerance=1e-3,
         )
-        return Misfit.of(minimum, problem.readings.part, problem.joints)
+        return Misfit.of(minimum, problem.readings.part)
 
     def start(
         self,

@@ -23,7 +23,7 @@ from ._signs import LATEST_TURN
 
 
 Residuals = Mapping[str, np.ndarray]
-"""Residuals, or what else there is one of for each, by block: of `"torque"`, (equations, series),
+"""Residuals, or what else there is one of for each, by block: of `"torque"`, (equations, n),
 `"position"`, (samples, n), and of what else an objective has."""
 
 
@@ -124,13 +124,12 @@ class Linear:
         }
         residuals = {name: values for name, (values, _) in parts.items()}
         laws = objective.laws(residuals)
-        samples, series = point.q.shape
         result = cls(
             objective,
             {name: law.weight for name, law in laws.items()},
             {name: law.residual for name, law in laws.items()},
             residuals,
-            Order.of(samples, series, objective.motion.signs.samples),
+            Order.of(len(point.q), point.q.shape[1], objective.motion.signs.samples),
             {name: derivatives for name, (_, derivatives) in parts.items()},
             {name: law.levels for name, law in laws.items() if objective.blocks[name].bent},
             sum(float(np.sum(law.value)) for law in laws.values()),
@@ -249,10 +248,9 @@ class Linear:
         return {name: residuals.get(name, 0.0 * values) for name, values in self.present.items()}
 
     def _gradient(self, residuals: Residuals) -> Step:
-        samples, series = self.order.position.shape
         total = Step(
             np.zeros(len(self.objective.scale)),
-            np.zeros((samples, series)),
+            np.zeros(self.order.position.shape),
             np.zeros(len(self.order.turn)),
         )
         for name, derivatives in self.derivatives.items():

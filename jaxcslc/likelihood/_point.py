@@ -69,20 +69,20 @@ class Point:
     **Attributes**
 
     - `border`: what all equations share; `layout`: where what of it is.
-    - `q`: (samples, series) positions, of joints and of what else moves.
+    - `q`: (samples, n) positions of joints.
     - `turn`: (reversals,) moments of the reversals.
     """
 
     border: Border
     layout: UnknownLayout
-    q: Float[np.ndarray, "samples series"]
+    q: Float[np.ndarray, "samples joints"]
     turn: Float[np.ndarray, " reversals"]
 
     @classmethod
     def of(
         cls,
         values: Mapping[str, np.ndarray],
-        q: Float[np.ndarray, "samples series"],
+        q: Float[np.ndarray, "samples joints"],
         turn: Float[np.ndarray, " reversals"],
     ) -> "Point":
         """Return from values of the border by name, in the order of `Layout`."""
@@ -126,7 +126,7 @@ class Step:
     """Changes of all unknowns; `border` in units of its scale."""
 
     border: Border
-    position: Float[np.ndarray, "samples series"]
+    position: Float[np.ndarray, "samples joints"]
     turn: Float[np.ndarray, " reversals"]
 
     def scaled(self, factor: float) -> "Step":

@@ -80,11 +80,6 @@ class LikelihoodProblem:
     scatter: Float[np.ndarray, "recordings joints"]
     added: Mapping[str, AbstractResidualBlock] = dataclasses.field(default_factory=dict)
 
-    @property
-    def joints(self) -> int:
-        """n: positions of what else moves are not read."""
-        return self.stuck.shape[1]
-
     def bounded(self, point: Point, before: Point) -> Point:
         """Return a point within bounds, whose slopes and reversals are no further than a step may
         go."""

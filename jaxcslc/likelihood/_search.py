@@ -101,7 +101,6 @@ def search(
     fixed_levels: bool = False,
     edge: Levels | None = None,
     tolerance: float = 0.0,
-    most_steps: int = _MOST_STEPS,
     moments: Float[np.ndarray, "samples _"] | None = None,
 ) -> Minimum:
     """Minimise step by step: signs, weights and noise levels are fixed within each step.
@@ -112,13 +111,12 @@ def search(
     - `edge`: (recordings, n) widths of intervals' edges in steps, 0 where counts are none. The
       start is then near the minimum. None with fixed levels: no count is an interval.
     - `tolerance`: the search ends also when the sum of squares falls by less than this part of it.
-    - `most_steps`: after so many it ends wherever it is.
     - `moments`: (samples, n) of reversals to start from, as `LikelihoodFit.reversal_moments`.
     """
     levels = torque_noise, position_noise
     state = SearchState.start(problem, point, *levels, fixed_levels, edge, moments)
     first = 0 if edge is None else len(MARGINS)
-    return _ended(problem, state, first, progress, tolerance=tolerance, most_steps=most_steps)
+    return _ended(problem, state, first, progress, tolerance=tolerance)
 
 
 def search_on(
@@ -152,7 +150,6 @@ def _ended(
     progress: Callable[[str], None],
     *,
     tolerance: float = 0.0,
-    most_steps: int = _MOST_STEPS,
 ) -> Minimum:
     """Search from a state to an end.
 
@@ -173,7 +170,7 @@ def _ended(
         progress(f"maximum likelihood: step {number + 1 - first}")
         # Rounding lets the sum grow: without a tolerance, that is no end.
         small = tolerance > 0.0 and test.final and step.fall < tolerance and number >= len(MARGINS)
-        if test.converged or test.stalled or small or number == most_steps - 1:
+        if test.converged or test.stalled or small or number == _MOST_STEPS - 1:
             linear = Linear.of(objective, state.point)
             factored, steps = linear.factored(0.0), number + 1 - first
             return Minimum(state, objective, linear, factored, counted, steps, test.converged)

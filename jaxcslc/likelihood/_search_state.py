@@ -76,7 +76,7 @@ class SearchState:
     refinements: int = 0
     moments: Float[np.ndarray, "samples _"] | None = None
     of_friction: Point | None = None
-    truncation: Float[np.ndarray, "equations series"] | float | None = None
+    truncation: Float[np.ndarray, "equations joints"] | float | None = None
 
     @classmethod
     def start(
@@ -130,7 +130,7 @@ def with_signs(
     ambiguous = state.ambiguous
     while True:
         signs = Signs.of(
-            point.q[:, : problem.joints],
+            point.q,
             readings.time,
             problem.stuck,
             margin=MARGINS[min(number, len(MARGINS) - 1)],
@@ -232,11 +232,7 @@ def objective_of(
     weight = state.outlier_weight / (state.torque_noise[of_equation] ** 2 + of_friction)
     without = problem.at_rest | state.undecided | readings.joined[:, None]
     weight[without] = 0.0
-    others = equations.noise(state.torque_noise)[of_equation, problem.joints :] ** -2.0
-    others[readings.joined] = 0.0
-    motion = MotionBlock(
-        equations, readings.torque, signs, np.concatenate([weight, others], axis=1)
-    )
+    motion = MotionBlock(equations, readings.torque, signs, weight)
     left_out = state.truncation
     if left_out is None and readings.torque.sampling == "sampled":
         left_out = equations.truncation(motion.at(point), readings.time, readings.part)
@@ -274,9 +270,9 @@ def _with_sticking(
     fixed = not problem.scale[: len(point.k)].any()
     if fixed or not problem.at_rest.any():
         return objective
-    part, motion, n = problem.readings.part, objective.motion, problem.joints
+    motion = objective.motion
     signs = motion.signs
-    friction = motion.residuals(point)[:, :n] + signs.direction * breakaway
+    friction = motion.residuals(point) + signs.direction * breakaway
     mask = sticking_equations(problem.at_rest, friction, breakaway) & (
         problem.equations.presliding_distance == 0.0
     )
@@ -284,16 +280,12 @@ def _with_sticking(
     if not mask.any():
         return objective
     direction = np.where(mask, np.where(friction < 0.0, -1.0, 1.0), signs.direction)
-    mask, direction_of_all = (
-        np.concatenate([values, np.zeros((len(mask), motion.weight.shape[1] - n))], axis=1)
-        for values in (mask, direction)
-    )
-    noise = motion.equations.noise(state.torque_noise)[part[1:-1]]
+    noise = state.torque_noise[problem.readings.part[1:-1]]
     return objective.with_blocks(
         torque=dataclasses.replace(
             motion,
             signs=dataclasses.replace(signs, direction=direction),
-            sticking=Sticking(mask.astype(bool), direction_of_all, noise),
+            sticking=Sticking(mask, direction, noise),
         )
     )
 
@@ -330,9 +322,7 @@ def outlier_weights(
     of_friction = _friction_variance(problem, motion.equations, signs, step.point, breakaway)
     extra = np.where(signs.uncertain, of_friction, 0.0)
     deviation = np.sqrt(noise**2 + extra)
-    weight, residual = (
-        values["torque"][:, : problem.joints] for values in (linear.weights, step.residuals)
-    )
+    weight, residual = linear.weights["torque"], step.residuals["torque"]
     robust = (counted | (extra > 0.0)) & (weight > 0.0)
     size = np.maximum(np.abs(residual), 1e-300)
     return np.where(robust, np.minimum(1.0, _OUTLIER * deviation / size), 1.0)
@@ -343,7 +333,7 @@ def outlier_weights(
 _FALL = 0.25
 # Noise levels go all the way to where residuals would have them in so many steps, then half of it;
 # they are fixed when they change by less than this part in a step, or after so many steps.
-_FREE_LEVEL_STEPS, _LEVEL_TOLERANCE, _MOST_LEVEL_STEPS, _MOST_STEPS_OF_ADDED = 6, 0.05, 14, 40
+_FREE_LEVEL_STEPS, _LEVEL_TOLERANCE, _MOST_LEVEL_STEPS = 6, 0.05, 14
 # Counts become intervals when a step moves no coefficient by more than this part of its standard
 # error. Where all of them will, the level of torque noise need not be settled: it follows later.
 NEAR = 0.3
@@ -393,7 +383,7 @@ class NoiseDraws:
         rng = np.random.default_rng(0)
         counts = linear.weights["torque"] > 0.0
         normal = np.where(counts, rng.normal(size=counts.shape), 0.0)
-        torque = normal * linear.objective.motion.equations.noise(state.torque_noise)[part[1:-1]]
+        torque = normal * state.torque_noise[part[1:-1]]
         weight = linear.weights["position"]
         position = rng.normal(size=weight.shape) * state.position_noise[part]
         intervals = linear.objective.readings.intervals
@@ -455,8 +445,7 @@ class NoiseDraws:
         seen, part = self.problem.scatter, self.problem.readings.part
         n = seen.shape[1]
         by_position = self.linear.motion.by_position
-        series = by_position.shape[1]
-        near = by_position.reshape(len(by_position), series, -1, series)[:, :n, :, :n]
+        near = by_position.reshape(len(by_position), n, -1, n)
         size = np.sqrt(np.sum(near**2, axis=2))  # of the equation of one joint, by another's noise
         result = np.zeros_like(seen)
         for number in range(len(seen)):
@@ -500,10 +489,7 @@ def with_levels(
     )
     modelled = number > len(MARGINS)
     settled = modelled and bool(change <= _LEVEL_TOLERANCE)
-    if not problem.added:
-        final = settled or number >= _MOST_LEVEL_STEPS
-    else:  # what added blocks let bodies do shows little by little
-        final = (settled and step.change <= NEAR) or number >= _MOST_STEPS_OF_ADDED
+    final = settled or number >= _MOST_LEVEL_STEPS
     if modelled and step.change <= NEAR:
         final |= _all_sharp(problem, draws, position_noise)
     if final:

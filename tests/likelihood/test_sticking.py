@@ -101,6 +101,6 @@ def test_bounds_say_nothing_of_coefficients_that_are_fixed(fixed: bool) -> None:
         position_noise,
         lambda words: None,
         fixed_levels=True,
-        most_steps=5,
+        tolerance=1e-3,
     )
     assert (minimum.objective.motion.sticking is None) == fixed
