@@ -25,6 +25,7 @@ from ..least_squares import (
     equations_of,
     torque_by,
     torque_of,
+    unknowns_of,
 )
 from ..network import CSLC
 from ..recordings import (
@@ -280,6 +281,10 @@ class Evidence:
     def _columns(self) -> HostColumns:
         return columns_of(self.network, self.patterns)
 
+    @cached_property
+    def _unknowns(self) -> Unknowns:
+        return unknowns_of(self.network, self.patterns, self._columns)
+
     def coefficients(
         self, patterns: Patterns, columns: HostColumns
     ) -> Float[np.ndarray, " coefficients"]:
@@ -319,7 +324,9 @@ class Evidence:
         - `columns`: of the patterns' motion, if they are known already.
         """
         fold = np.arange(patterns.samples) * _FOLDS // patterns.samples
-        error = _SOLVER.held_out_errors(self.network, patterns, fold, columns)
+        known = columns is not None and columns is self._columns
+        unknowns = self._unknowns if known else None
+        error = _SOLVER.held_out_errors(self.network, patterns, fold, columns, unknowns)
         return error_part(error, patterns)
 
     def quick_scores(self, patterns: Sequence[Patterns]) -> list[float]:

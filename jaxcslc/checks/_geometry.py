@@ -124,8 +124,9 @@ def geometry_columns(
     # Of the normal equations: their eigenvalues are squares of singular values.
     inverse = np.linalg.pinv((rows / scale).T @ (rows / scale), _TOLERANCE, hermitian=True)
     parameters = inverse @ ((rows / scale).T @ torque.ravel()) / scale
+    before = _torque_of_bodies(robot, *motion, parameters)
     columns = [
-        (body_regressor(error.robot(robot, _STEP), *motion) - nominal) @ parameters / _STEP
+        (_torque_of_bodies(error.robot(robot, _STEP), *motion, parameters) - before) / _STEP
         for error in errors
     ]
     return np.stack(columns, axis=-1)
@@ -223,6 +224,45 @@ def body_regressor(
     >>> body_regressor(arm, still, still, still + 1.0)[0, 0, [2, 10]].tolist()
     [1.0, 1.0]
     """
+    equations, width = _newton_euler(robot, q), len(BODY) + 1
+    units = tuple(np.eye(len(BODY))[:, :, None])
+    columns = equations.columns(
+        [(link, units) for link in range(robot.joint_count)], list(qd.T), list(qdd.T)
+    )
+    result = np.zeros((*q.shape, width * robot.joint_count))
+    for joint, own in enumerate(columns):
+        for link, column in enumerate(own):
+            result[:, joint, width * link : width * (link + 1) - 1] = np.transpose(column)
+        result[:, joint, width * (joint + 1) - 1] = qdd[:, joint]
+    return result
+
+
+def _torque_of_bodies(
+    robot: Manipulator,
+    q: Float[np.ndarray, "samples joints"],
+    qd: Float[np.ndarray, "samples joints"],
+    qdd: Float[np.ndarray, "samples joints"],
+    parameters: Float[np.ndarray, " parameters"],
+) -> Float[np.ndarray, "samples joints"]:
+    """Return `body_regressor` times parameters, by one recursion without the regressor.
+
+    >>> import numpy as np, jaxcslc as jc
+    >>> arm, still = jc.examples.pendulum(), np.zeros((1, 1))
+    >>> _torque_of_bodies(arm, still, still, still + 1.0, np.arange(11.0)).round(6)
+    array([[70.86]])
+    """
+    of_links = parameters.reshape(-1, len(BODY) + 1).tolist()
+    torque = _newton_euler(robot, q).torque(
+        [of_link[:-1] for of_link in of_links],
+        [of_link[-1] for of_link in of_links],
+        list(qd.T),
+        list(qdd.T),
+    )
+    return np.stack([np.broadcast_to(of_joint, len(q)) for of_joint in torque], axis=1)
+
+
+def _newton_euler(robot: Manipulator, q: Float[np.ndarray, "samples joints"]) -> NewtonEuler:
+    """Return the equations of Newton and Euler at positions [rad or m]."""
     a, d, b = np.array(
         [[length.value or 0.0 for *_, length in joint.lengths] for joint in robot.joints]
     ).T[..., None]
@@ -235,14 +275,4 @@ def body_regressor(
         d=list(d + np.where(turns, 0.0, q.T)),
         b=list(b),
     )
-    units = tuple(np.eye(len(BODY))[:, :, None])
-    columns = NewtonEuler(frames, robot.gravity).columns(
-        [(link, units) for link in range(robot.joint_count)], list(qd.T), list(qdd.T)
-    )
-    width = len(BODY) + 1
-    result = np.zeros((*q.shape, width * robot.joint_count))
-    for joint, own in enumerate(columns):
-        for link, column in enumerate(own):
-            result[:, joint, width * link : width * (link + 1) - 1] = np.transpose(column)
-        result[:, joint, width * (joint + 1) - 1] = qdd[:, joint]
-    return result
+    return NewtonEuler(frames, robot.gravity)
