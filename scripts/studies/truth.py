@@ -55,6 +55,11 @@ def truth_within_intervals(
     return within
 
 
+def epsilon(network: jc.CSLC, k: np.ndarray, patterns: jc.Patterns) -> float:
+    """The mean error cost [N m] (7.5)."""
+    return float(np.asarray(jc.compare(network, patterns, {"": k}).epsilon)[0])
+
+
 def moving_patterns(
     performed: sim.SimulatedRecording,
     torque: Float[np.ndarray, "samples joints"] | None = None,

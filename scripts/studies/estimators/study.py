@@ -32,8 +32,7 @@ from scripts.studies import command
 from scripts.studies.estimators.methods import NAMES, estimates
 from scripts.studies.estimators.recordings import KINDS, experiment
 from scripts.studies.rows import Rows, made_of
-from scripts.studies.static_friction.study import epsilon
-from scripts.studies.truth import moving_patterns, true_coefficients
+from scripts.studies.truth import epsilon, moving_patterns, true_coefficients
 
 
 jc.enable_x64()

@@ -34,8 +34,7 @@ from scripts.studies.excitation.motions import (
     thesis_coefficients,
 )
 from scripts.studies.excitation.plans import seconds_to_goal
-from scripts.studies.static_friction.study import epsilon
-from scripts.studies.truth import moving_patterns, true_coefficients
+from scripts.studies.truth import epsilon, moving_patterns, true_coefficients
 
 
 jc.enable_x64()

@@ -35,8 +35,7 @@ from jaxcslc.report import write_csv
 from jaxcslc.uncertainty import uncertainty_interval
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
-from scripts.studies.static_friction.study import epsilon
-from scripts.studies.truth import moving_patterns, true_coefficients
+from scripts.studies.truth import epsilon, moving_patterns, true_coefficients
 
 
 jc.enable_x64()

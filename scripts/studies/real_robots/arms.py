@@ -4,15 +4,23 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 import jaxcslc as jc
 from jaxcslc.manipulator import tx40
 from jaxcslc.recordings import Recording, resample
-from scripts.examples import franka_panda, staubli_tx40
 
 
 DATA = Path(__file__).resolve().parents[4] / "shared" / "data"
 # Of 1 kHz and 5 kHz recordings, one of so many samples is used, by every method.
 PANDA_STEP, TX40_STEP = 5, 10
+PANDA_PERIOD, TX40_INTERVAL = 0.001, 1 / 5000  # [s] of the controllers
+# Rows of the TX40 that are fitted, and judged: those of figaroh-examples.
+TX40_FITTED, TX40_JUDGED = slice(0, 24_750), slice(29_250, 45_000)
+# Its gear ratios. The motor of joint 6 turns with joint 5: its position is of both, and its torque
+# works on both.
+_RATIOS, _WRIST = (32.0, 32.0, 45.0, -48.0, 45.0, 32.0), 32.0
+_ZERO = (0.0, -np.pi / 2, np.pi / 2, 0.0, 0.0, 0.0)  # joint positions at the encoders' zero [rad]
 
 
 class Arm(NamedTuple):
@@ -63,8 +71,12 @@ def lwr4(folder: Path) -> Arm:
 
 def panda(folder: Path) -> Arm:
     """Franka Emika Panda: joint positions and torques of joint sensors."""
-    recording = franka_panda.read_recording(folder)
-    even = resample(recording, franka_panda.PERIOD)
+    table = np.genfromtxt(folder / "panda_exciting_traj1.csv", delimiter=",", names=True)
+    columns = [
+        np.stack([table[f"{name}{joint}"] for joint in range(1, 8)], axis=1)
+        for name in ("q", "tau_J_")
+    ]
+    even = resample(Recording(table["t_s"], *columns, torque_measured=True), PANDA_PERIOD)
     every = slice(None, None, PANDA_STEP)
     end = float(even.time[-1] - even.time[0])
     cut = 2 * end / 3
@@ -78,14 +90,27 @@ def panda(folder: Path) -> Arm:
     )
 
 
+def tx40_recording(folder: Path) -> Recording:
+    """Joint positions [rad] and joint torques [N m] of the TX40's log of motors, at 5 kHz."""
+    motor, torque = (
+        np.loadtxt(folder / name, delimiter=",", skiprows=1)
+        for name in ("pos_read_data.csv", "curr_data.csv")
+    )
+    gears = np.diag(_RATIOS)
+    gears[5, 4] = _WRIST
+    position = np.linalg.solve(gears, motor.T).T + np.array(_ZERO)
+    time = np.arange(len(motor)) * TX40_INTERVAL
+    return Recording(time, position, torque @ gears, torque_measured=True)
+
+
 def staubli(folder: Path) -> Arm:
     """Stäubli TX40: motor positions in encoder counts and motor torques, a coupled wrist."""
-    recording = staubli_tx40.read_recording(folder)
+    recording = tx40_recording(folder)
     every = slice(None, None, TX40_STEP)
     return Arm(
         tx40(),
-        recording.rows(staubli_tx40.FITTED).rows(every),
-        {"last third": recording.rows(staubli_tx40.JUDGED).rows(every)},
+        recording.rows(TX40_FITTED).rows(every),
+        {"last third": recording.rows(TX40_JUDGED).rows(every)},
         "thanhndv212/figaroh-examples, Apache-2.0",
         "rows 0 to 24,750 are fitted, 29,250 to 45,000 judged; every tenth, 500 Hz",
         "tx40",

@@ -223,3 +223,17 @@ def test_fits_of_the_same_arm_differ_by_their_errors() -> None:
     for kind in intervals.KINDS:
         assert deviations[kind].shape == (15,)
         assert np.median(deviations[kind]) < 2.0
+
+
+def test_gears_of_the_tx40(tmp_path: Path) -> None:
+    """Power is the same on both sides; the motor of joint 6 turns with joint 5."""
+    motor, torque = np.random.default_rng(0).normal(size=(2, 50, 6))
+    for name, table in (("pos_read_data.csv", motor), ("curr_data.csv", torque)):
+        np.savetxt(tmp_path / name, table, delimiter=",", header="a,b,c,d,e,f")
+    recording = arms.tx40_recording(tmp_path)
+    steps = np.diff(recording.position, axis=0)
+    assert np.allclose(
+        np.sum(recording.torque[1:] * steps, axis=1),
+        np.sum(torque[1:] * np.diff(motor, axis=0), axis=1),
+    )
+    assert np.allclose(np.diff(motor[:, 5]), 32 * (steps[:, 4] + steps[:, 5]))

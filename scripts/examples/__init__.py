@@ -1,1 +1,0 @@
-"""Identification of real robots."""
