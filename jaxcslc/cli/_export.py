@@ -108,8 +108,8 @@ def _check_verdict(saved: Report, identification: Path) -> None:
         ) from None
     if objections:
         raise ValueError(
-            f"{identification}: its verdict is not to rely on it: {objections[0]} Expected a"
-            " result without ✗, or --force"
+            f"{identification}: its verdict is not to rely on it: {objections[0]} Follow the remedy"
+            " in its report and identify again, or export it as it is with --force"
         )
 
 

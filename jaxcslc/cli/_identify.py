@@ -331,7 +331,7 @@ def _identified(
         prior=prior,
         file_prior=options.file_prior,
         memory=options.memory,
-        horizon=options.simulate,
+        simulate=options.simulate,
         progress=step,
     )
 

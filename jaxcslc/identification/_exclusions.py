@@ -46,7 +46,7 @@ class Request:
     prior: Prior | None = None
     file_prior: bool = True
     memory: float = 2.0
-    horizon: bool = False
+    simulate: bool = False
 
     @property
     def longest(self) -> str:
@@ -98,7 +98,7 @@ FEATURES: Mapping[str, Callable[[Request], bool]] = {
     "prior of the likelihood": lambda r: r.likelihood_options.prior is not None,
     "bodies of the likelihood": lambda r: r.likelihood_options.possible,
     "distances": lambda r: bool(r.likelihood_options.presliding_distance),
-    "horizon": lambda r: r.horizon,
+    "simulation": lambda r: r.simulate,
     "known masses": lambda r: any(inertia.has_known for inertia in r.network.robot.inertia),
     "dry friction": lambda r: any("dry" in kinds for kinds in r.network.friction_per_joint),
 }
@@ -183,7 +183,7 @@ EXCLUSIONS = (
         for features, what in (
             ((f"unsupported {LOAD_FRICTION}",), "the estimator {r.estimator!r}"),
             ((LOAD_FRICTION, SEVERAL), "several recordings in one fit"),
-            ((LOAD_FRICTION, "horizon"), "prediction over a horizon"),
+            ((LOAD_FRICTION, "simulation"), "simulation without feedback"),
         )
     ),
     *(

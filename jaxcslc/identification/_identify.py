@@ -309,7 +309,7 @@ def identify(
     prior: Prior | None = None,
     file_prior: bool = True,
     memory: float = 2.0,
-    horizon: bool = False,
+    simulate: bool = False,
     progress: Progress = None,
 ) -> Report:
     """Identifies a robot's coefficients from a recording, and judges the result.
@@ -371,7 +371,7 @@ def identify(
       recording, however long. Where its regressor does not fit, settings are selected and fits
       judged on a part of it (`report.judged_part` says which). Of several recordings that do not
       fit together, parts are used throughout, as `report.notes` say.
-    - `horizon`: also simulate the identified arm without feedback from states of the validation
+    - `simulate`: also simulate the identified arm without feedback from states of the validation
       recording, or of the longest training recording. `report.horizon` has the position errors
       after 0.1 to 5 s, also of the robot's file and of the fit with pre-sliding states.
     - `progress`: a function that is called with a few words at the start of each step; or True to
@@ -419,7 +419,7 @@ def identify(
         prior=prior,
         file_prior=file_prior,
         memory=memory,
-        horizon=horizon,
+        simulate=simulate,
     )
     check_request(request)
     with steps(progress, f"identify {network.name}") as step:
@@ -504,7 +504,7 @@ def _report(judged: Judged, chosen: ChosenFriction | None, data_check: DataCheck
         "selection": problem.selection,
         "judged_part": None if problem.section is None else problem.section.description,
         "data_check": data_check,
-        "horizon": _horizon(judged, states) if request.horizon else None,
+        "horizon": _horizon(judged, states) if request.simulate else None,
         "friction": terms,
         "pre_sliding": states,
     }

@@ -200,7 +200,7 @@ def test_a_report_saves_and_loads_it(recording: jc.Recording, tmp_path: Path) ->
     ("options", "message"),
     [
         ({"estimator": "auto"}, "the estimator 'auto'"),
-        ({"horizon": True}, "prediction over a horizon"),
+        ({"simulate": True}, "simulation without feedback"),
     ],
 )
 def test_what_does_not_know_it_says_so(

@@ -60,7 +60,7 @@ def report(network: jc.CSLC) -> jc.Report:
         friction="auto",
         possible="never",
         systematic=False,
-        horizon=True,
+        simulate=True,
     )
 
 

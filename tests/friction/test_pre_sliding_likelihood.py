@@ -57,7 +57,7 @@ def identified(
     estimator: str = "maximum-likelihood",
     likelihood: jc.MaximumLikelihood = OPTIONS,
     friction: bool = True,
-    horizon: bool = False,
+    simulate: bool = False,
 ) -> jc.Report:
     return jc.identify(
         jc.derive(pendulum(), lengths="numeric"),
@@ -69,7 +69,7 @@ def identified(
         friction="auto" if friction else None,
         possible="never",
         systematic=False,
-        horizon=horizon,
+        simulate=simulate,
     )
 
 
@@ -82,7 +82,7 @@ def recordings() -> tuple[jc.Recording, jc.Recording]:
 
 @pytest.fixture(scope="module")
 def report(recordings: tuple[jc.Recording, jc.Recording]) -> jc.Report:
-    return identified(*recordings, horizon=True)
+    return identified(*recordings, simulate=True)
 
 
 def comparison_of(report: jc.Report) -> EstimatorComparison:

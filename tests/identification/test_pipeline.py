@@ -196,9 +196,9 @@ class TestExclusions:
         )
         assert excluded(request, "friction of the load") is None
         assert excluded(request, "pre-sliding") is None
-        longer = dataclasses.replace(request, horizon=True)
+        longer = dataclasses.replace(request, simulate=True)
         reason = excluded(longer, "friction of the load")
-        assert reason is not None and "horizon" in reason
+        assert reason is not None and "simulation" in reason
         several = dataclasses.replace(
             request, training={**request.training, "b": swing(network, 1)}
         )

@@ -185,7 +185,7 @@ class TestHorizon:
         report = jc.identify(
             *(network, motion),
             settings=jc.Settings(),
-            horizon=True,
+            simulate=True,
             checks=False,
             systematic=False,
             possible="never",

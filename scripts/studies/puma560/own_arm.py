@@ -90,7 +90,7 @@ def identify_example(folder: Path, *, quick: bool = False) -> OwnArm:
         jc.load_recording(path, joints=7) for path in (example.train, example.validation)
     )
     report = jc.identify(  # as the command does by default
-        network, train, validation=held_out, friction="offset", horizon=not quick
+        network, train, validation=held_out, friction="offset", simulate=not quick
     )
     report.save(folder / "results", command=_IDENTIFY + " --simulate" * (not quick))
     truth = np.asarray(jc.examples.read_truth(example, report.network))

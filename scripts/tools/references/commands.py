@@ -79,8 +79,8 @@ REFERENCES = (
             " --validate ../inputs/franka_panda/validation.csv"
             " --columns ../inputs/franka_panda/columns.toml --friction viscous,dry,offset"
             " --measured -o identified",
-            "export panda identified -o robot.toml",
-            "export panda identified --c -o model.c",
+            "export panda identified --force -o robot.toml",
+            "export panda identified --force --c -o model.c",
         ),
         real="franka_panda",
     ),
@@ -137,7 +137,7 @@ REFERENCES = (
     Reference(
         "pre_sliding",
         (
-            f"identify {_ARM.format('pre_sliding')} --friction auto --horizon -o identified",
+            f"identify {_ARM.format('pre_sliding')} --friction auto --simulate -o identified",
             "export ../inputs/pre_sliding.toml identified -o robot.toml",
             "export ../inputs/pre_sliding.toml identified --c -o model.c",
         ),
