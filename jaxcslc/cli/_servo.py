@@ -13,6 +13,7 @@ from ..manipulator import LinkParameters, Manipulator, seen_from
 from ..servo import (
     SERVO_FILES,
     ServoRecording,
+    Table,
     check_servos,
     identify_servo,
     load_servo_recordings,
@@ -147,12 +148,24 @@ class ServoOptions(ServoReading):
         ),
     ] = "0,0,0"
 
+    table: Annotated[
+        str | None,
+        option(
+            group=_GROUP,
+            metavar="BODY,X,Y,Z[,HEIGHT]",
+            help="The hand may lean on a table: the body of the robot file that touches it, the"
+            " point that does, in that body's frame [m], and the table's height in the base's frame"
+            " [m], 0 by default.",
+        ),
+    ] = None
+
     def __post_init__(self) -> None:
         if (self.loaded is None) != (self.mass is None):
             raise UsageError("--loaded and --mass: got one of them; expected both or neither")
         if self.mass is not None and not 0.0 < self.mass < math.inf:
             raise UsageError(f"--mass: expected more than 0 kg, got {self.mass:g}")
         self._centre()
+        self._table()
         super().__post_init__()
 
     def _centre(self) -> list[float]:
@@ -161,6 +174,35 @@ class ServoOptions(ServoReading):
         if not all(map(math.isfinite, centre)):
             raise UsageError(f"--centre: expected {expected}, got {self.centre!r}")
         return list(centre)
+
+    def _table(self) -> tuple[str, list[float]] | None:
+        if self.table is None:
+            return None
+        body, _, point = self.table.partition(",")
+        expected = "BODY,X,Y,Z or BODY,X,Y,Z,HEIGHT in m, as in gripper_link,0,0,-0.1"
+        values = numbers("--table", point, expected, 4 if point.count(",") == 3 else 3)
+        if not body or not all(map(math.isfinite, values)):
+            raise UsageError(f"--table: expected {expected}, got {self.table!r}")
+        return body, [*values, 0.0][:4]
+
+    def table_of(self, robot: Manipulator) -> Table | None:
+        """Return the table in the frames of the links.
+
+        **Raises** `ValueError`: a body that is none of the robot's.
+        """
+        stated = self._table()
+        if stated is None:
+            return None
+        body, (*point, height) = stated
+        source = robot.source
+        of_file = source is not None and source.format != "toml"
+        names = source.links if source is not None and of_file else robot.joint_names
+        if body not in names:
+            raise ValueError(f"--table: {body!r} is no moved body; expected of {', '.join(names)}")
+        link = list(names).index(body)
+        pose = source.placements[link] if source is not None and of_file else np.eye(4)
+        x, y, z = (float(value) for value in (pose @ [*point, 1.0])[:3])
+        return Table(link, (x, y, z), height)
 
     def payload(self, robot: Manipulator) -> LinkParameters:
         """Return the payload in the frame of the last link."""
@@ -235,6 +277,7 @@ def identify_servos(
     _refuse_others(context, SERVO_OPTIONS)
     context.check_output([output / file for file in SERVO_FILES], folder=output)
     robot = part.read(name)
+    table = options.table_of(robot)
 
     def read(paths: Sequence[Path]) -> dict[str, ServoRecording]:
         return options.read(paths, robot, recordings)
@@ -253,6 +296,7 @@ def identify_servos(
         [*training.values(), *loaded.values()],
         payloads=[*[None] * len(training), *[body] * len(loaded)],
         known=dict(robot.drive or {}) | options.known_parameters(),
+        table=table,
         progress=step,
     )
     report = servo_report(fit, training, held_out, progress=step)

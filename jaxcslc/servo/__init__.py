@@ -9,6 +9,7 @@ Modules, in reading order:
 - `_recording`: commands and positions, sampled in time.
 - `_readers`, `_lerobot`: recordings from tables, bags and folders of data sets.
 - `_drive`: the parameters of a servo and its joint.
+- `_table`: a table on which the hand may lean.
 - `_simulation`, `joint.c`, `arm.c`: positions from commands; loads of one joint.
 - `_search`: unknowns of a joint, and least squares of its simulated positions.
 - `_start`: where the search starts: a regression of the whole arm.
@@ -55,6 +56,7 @@ from ._results import (
     servo_report as servo_report,
 )
 from ._simulation import LONGEST_STEP as LONGEST_STEP, simulate as simulate
+from ._table import Table as Table
 
 
 __all__ = [
@@ -70,6 +72,7 @@ __all__ = [
     "ServoParameter",
     "ServoRecording",
     "ServoReport",
+    "Table",
     "WrittenServoArm",
     "check_servos",
     "identify_servo",

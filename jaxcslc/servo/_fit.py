@@ -42,6 +42,7 @@ from ._search import (
 from ._sensitivity import Coupling, accelerations, lengths_of_steps, sensitivities
 from ._simulation import LONGEST_STEP, joint_loads, simulate, with_payload
 from ._start import CORRELATION, Regression, starting_point
+from ._table import Table
 
 
 ESTIMATED = (
@@ -91,6 +92,7 @@ class ServoFit:
     - `notes`: sentences about what was decided, as ends of travel that were found.
     - `currents`: gains of currents over torque, where recordings have currents and determine
       torques.
+    - `table`: on which the hand may lean, or None.
     """
 
     robot: Manipulator
@@ -101,6 +103,7 @@ class ServoFit:
     confounded: tuple[ConfoundedParameters, ...] = ()
     notes: tuple[str, ...] = ()
     currents: tuple[CurrentGain, ...] = ()
+    table: Table | None = None
 
     def __repr__(self) -> str:
         determined = sum(parameter.is_determined for parameter in self.parameters)
@@ -150,6 +153,7 @@ class ServoFit:
             recording.command,
             recording.position[0],
             _start_velocity(recording),
+            table=self.table,
         )
 
     def position_error(
@@ -178,6 +182,7 @@ def identify_servo(
     known: Mapping[str, float | Sequence[float]] | None = None,
     estimated: Sequence[str] | None = None,
     mass_error: float = MASS_ERROR,
+    table: Table | None = None,
     progress: Progress = None,
 ) -> ServoFit:
     """Identify the drives of an arm of position servos from commands and positions alone.
@@ -197,13 +202,14 @@ def identify_servo(
       friction if `damping` is known.
     - `mass_error`: relative standard error of the robot's masses. Without a payload, the errors of
       all torques have it. 0 takes the masses as exact; infinity leaves ratios to the gain alone.
+    - `table`: on which the hand may lean. Without one, the hand is simulated to go through it.
     - `progress`: a function for messages, or whether to show them.
 
     **Returns** the drives with their intervals.
 
     **Raises**
 
-    - `RobotError`: a robot without masses.
+    - `RobotError`: a robot without masses, or a table that does not fit it.
     - `ValueError`: recordings of other joints, or names that are no parameters.
     - `OSError`: no C compiler.
 
@@ -231,7 +237,7 @@ def identify_servo(
     base = known_rows(robot, given, known or {})
     names = tuple(name for name in estimated if name not in (known or {}))
     with progress_steps(progress, "identify servos") as step:
-        search = _Search(robot, given, carried, base, names, tuple(known or ()))
+        search = _Search(robot, given, carried, base, names, tuple(known or ()), table)
         ratios_only = math.isinf(mass_error) and not search.is_absolute
         scale_error = 0.0 if ratios_only else mass_error
         step("searching for each joint alone")
@@ -320,6 +326,7 @@ class _Search:
     base: Float[np.ndarray, "joints parameters"]
     names: tuple[str, ...]
     given: tuple[str, ...] = ()
+    table: Table | None = None
 
     def __post_init__(self) -> None:
         self.smooth = [smoothed(x) for x in self.recordings]
@@ -434,6 +441,7 @@ class _Search:
                 recording.command,
                 recording.position[0],
                 self.velocities[k],
+                table=self.table,
             )
 
         with ThreadPoolExecutor() as pool:
@@ -643,6 +651,7 @@ class _Search:
             tuple(confusions),
             tuple(self.notes),
             tuple(x for x in currents if not (ratios_only or self.vague_gain[x.joint])),
+            self.table,
         )
 
     def _take_file_limits(self, rows: Float[np.ndarray, "joints parameters"]) -> None:

@@ -20,6 +20,7 @@ from ..manipulator import Manipulator, RobotError, mujoco_spec
 from ._drive import ServoDrive
 from ._recording import ServoRecording
 from ._simulation import inverse_dynamics, simulate
+from ._table import Table
 
 
 TIMESTEP = 0.001
@@ -36,6 +37,7 @@ _STIFFEST = 2.0
 _START, _LOWEST, _HIGHEST = np.array([0.5, 0.85]), np.array([0.0, 0.5]), np.array([1.5, 1.0])
 _STEPS, _ITERATIONS = np.array([0.2, -0.1]), 3
 _MATCHED = 40.0  # s of recordings, over which they are compared
+_CONTACT = 0.001  # radius of the sphere that leans on the table [m]
 _RADIUS = 0.008  # of the rods that show links, with which nothing collides [m]
 
 
@@ -64,6 +66,7 @@ def write_servo_mjcf(
     path: str | Path,
     *,
     recordings: Sequence[ServoRecording] = (),
+    table: Table | None = None,
 ) -> WrittenServoArm:
     """Write a MuJoCo model of an arm whose `ctrl` are the commands that its servos get.
 
@@ -78,6 +81,7 @@ def write_servo_mjcf(
     | armature, viscous, Coulomb friction | `armature`, `damping`, `frictionloss` of the joint |
     | offset | `ref` of the joint |
     | ends of travel | `range` of the joint |
+    | table | a plane, and a sphere at the point that may lean on it |
 
     MuJoCo has no dead zone of servos, no static friction above Coulomb friction, and no friction
     that depends on load. For them, `frictionloss` is larger than Coulomb friction and `kv` smaller
@@ -92,6 +96,7 @@ def write_servo_mjcf(
     - `path`: of the file to write, ending in `.xml`.
     - `recordings`: recordings of the arm; ranges of joints include their positions. Of all
       together, up to 40 s are simulated.
+    - `table`: on which the hand may lean.
 
     **Returns** the file, and what is approximated in it.
 
@@ -146,9 +151,11 @@ def write_servo_mjcf(
             joint.solimp_limit[:] = 0.99, _IMPEDANCE, 1e-3, 0.5, 2.0
         joint.actfrclimited = False  # the drive's limit is the servo's
     _show(mujoco, spec)
+    if table is not None:
+        _add_table(mujoco, spec, robot, table)
     try:
         text = _text(spec, robot.source.joints, drives)
-        expressed = _expressible(mujoco, text, robot, drives, recordings)
+        expressed = _expressible(mujoco, text, robot, drives, recordings, table)
         for joint, drive in zip(joints, expressed, strict=True):
             joint.frictionloss = drive.coulomb
             _set_linear(joint, "damping", drive.viscous)
@@ -272,6 +279,7 @@ def _expressible(
     robot: Manipulator,
     drives: Sequence[ServoDrive],
     recordings: Sequence[ServoRecording],
+    table: Table | None,
 ) -> list[ServoDrive]:
     """Return drives with other Coulomb friction and damping, for what MuJoCo has not.
 
@@ -288,7 +296,7 @@ def _expressible(
         q = np.concatenate([x.position for x in parts]) - [d.offset for d in drives]
         gravity, _ = inverse_dynamics(robot, q, np.zeros_like(q), np.zeros_like(q))
         largest = largest + loaded * np.mean(np.abs(gravity), axis=0)
-    goals = [simulate(robot, drives, x.time, x.command, x.position[0]) for x in parts]
+    goals = [simulate(robot, drives, x.time, x.command, x.position[0], table=table) for x in parts]
     model = mujoco.MjModel.from_xml_string(text)
     dofs = [int(model.jnt_dofadr[model.actuator_trnid[i, 0]]) for i in range(model.nu)]
 
@@ -364,3 +372,39 @@ def _show(mujoco: Any, spec: Any) -> None:
                     conaffinity=0,
                     mass=0.0,
                 )
+
+
+def _add_table(mujoco: Any, spec: Any, robot: Manipulator, table: Table) -> None:
+    """Add a plane, and a sphere around the point that may lean on it; nothing else collides."""
+    assert robot.source is not None
+    bodies = {body.name: body for body in spec.bodies}
+    contact = {
+        "condim": 1,
+        "solref": [_STIFFEST * TIMESTEP, 1.0],
+        "solimp": [0.99, _IMPEDANCE, 1e-3, 0.5, 2.0],
+        "mass": 0.0,
+    }
+    up = -np.array(robot.gravity, float) / np.linalg.norm(robot.gravity)
+    rotation = np.zeros(4)
+    mujoco.mju_quatZ2Vec(rotation, up)
+    base = bodies.get(robot.source.base or "", spec.worldbody)
+    base.add_geom(
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        pos=(table.height - _CONTACT) * up,
+        quat=rotation,
+        size=[1.0, 1.0, 0.1],
+        contype=0,
+        conaffinity=1,
+        **contact,
+    )
+    placement = np.linalg.inv(robot.source.placements[table.link])
+    bodies[robot.source.links[table.link]].add_geom(
+        name="table_contact",
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        pos=(placement @ [*table.point, 1.0])[:3],
+        size=[_CONTACT, 0.0, 0.0],
+        contype=1,
+        conaffinity=0,
+        **contact,
+    )

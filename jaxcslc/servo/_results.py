@@ -508,7 +508,11 @@ def servo_report(
         step("replaying commands in MuJoCo")
         with tempfile.TemporaryDirectory() as folder:
             written = write_servo_mjcf(
-                fit.robot, fit.drives, Path(folder) / _MODEL, recordings=list(training.values())
+                fit.robot,
+                fit.drives,
+                Path(folder) / _MODEL,
+                recordings=list(training.values()),
+                table=fit.table,
             )
             text = written.path.read_text(encoding="utf-8")
             replayed = {

@@ -26,6 +26,7 @@ from ..manipulator import Joint, LinkParameters, Manipulator, RobotError, fixed_
 from ..network import newton_euler
 from ..recordings import as_float
 from ._drive import DRIVE_UNITS, ServoDrive
+from ._table import Table
 
 
 LONGEST_STEP = 0.00125
@@ -98,6 +99,8 @@ _OF_ARM: dict[str, tuple[Any, ...]] = {
         _STATES,
         _STATES,
         CArray("two joints"),
+        CArray("joints body"),
+        ctypes.c_double,
         CArray("samples joints", written=True),
         *[LONG] * 4,
         ctypes.c_double,
@@ -176,6 +179,7 @@ def simulate(
     position: ArrayLike,
     velocity: ArrayLike | None = None,
     *,
+    table: Table | None = None,
     longest_step: float | None = None,
 ) -> Float[np.ndarray, "samples joints"]:
     """Simulate an arm of servos open loop: readings of its encoders for a commanded motion.
@@ -191,6 +195,7 @@ def simulate(
     - `command`: commanded positions, shape `(samples, joints)` [rad or m].
     - `position`: readings at the first sample, shape `(joints,)` [rad or m].
     - `velocity`: at the first sample, shape `(joints,)`; zero if omitted [rad/s or m/s].
+    - `table`: on which the hand may lean. A hand that begins below it does not go lower.
     - `longest_step`: of the integration [s]; by default `LONGEST_STEP`, and 0.5 ms for gears with
       play.
 
@@ -198,7 +203,7 @@ def simulate(
 
     **Raises**
 
-    - `RobotError`: a robot without masses.
+    - `RobotError`: a robot without masses, or a table that does not fit it.
     - `ValueError`: shapes that disagree, or a joint without armature where the gear has play.
     - `OSError`: no C compiler.
 
@@ -229,6 +234,12 @@ def simulate(
             raise ValueError(f"joint {i}: a gear with play needs an armature above 0")
     if longest_step is None:
         longest_step = _STEP_WITH_PLAY if any(drive.play for drive in drives) else LONGEST_STEP
+    point, height = np.zeros((joints, len(BODY))), np.inf
+    if table is not None:
+        point = table.weight(robot)
+        # A recording that begins below was made on a lower table.
+        readings = start[:1] - [drive.offset for drive in drives]
+        height = max(0.0, float(table.heights(robot, readings)[0]))
     out = np.empty((times.size, joints))
     _arm_function("simulate_arm", robot)(
         drive_rows(drives),
@@ -236,6 +247,8 @@ def simulate(
         commands,
         command_integral(times, commands),
         start,
+        point,
+        height,
         out,
         times.size,
         joints,

@@ -100,6 +100,8 @@ def test_the_files(folder: Path, results: Path) -> None:
         (["--decimate", "2"], "--decimate: not with --drive servo"),
         (["--loaded", "FILE"], "--loaded and --mass: got one of them; expected both"),
         (["--known", "gain"], "--known: expected NAME=VALUE, as in gain=20, got 'gain'"),
+        (["--table", "lower,1"], "--table: expected BODY,X,Y,Z or BODY,X,Y,Z,HEIGHT in m, as in"),
+        (["--table", "hand,0,0,1"], "--table: 'hand' is no moved body; expected of upper, lower"),
         (["--centre", "1,2"], "--centre: expected X,Y,Z in m, as in 0,0,0.05, got '1,2'"),
     ],
 )

@@ -12,7 +12,14 @@ import pytest
 
 import jaxcslc as jc
 from jaxcslc.manipulator import RobotError
-from jaxcslc.servo import ServoDrive, ServoRecording, replay_in_mujoco, simulate, write_servo_mjcf
+from jaxcslc.servo import (
+    ServoDrive,
+    ServoRecording,
+    Table,
+    replay_in_mujoco,
+    simulate,
+    write_servo_mjcf,
+)
 
 
 GRAVITY = 9.81
@@ -20,6 +27,7 @@ GRAVITY = 9.81
 # the other simulation, where MuJoCo takes such too.
 SIMULATION, FINE = 3e-3, 4e-4
 STEP = 1e-4
+TOUCH = 2e-4  # m, by which MuJoCo's contacts give way
 
 
 def commands(joints: int) -> ServoRecording:
@@ -193,3 +201,27 @@ def test_wrong_robots(arm: jc.Manipulator, tmp_path: Path) -> None:
     written = write_servo_mjcf(arm, [ServoDrive(1.0)] * 2, tmp_path / "servos.xml")
     with pytest.raises(RobotError, match="2 servos; the recording has 1 joints"):
         replay_in_mujoco(written.path, commands(1))
+
+
+def test_a_table_is_in_the_model(arm: jc.Manipulator, tmp_path: Path) -> None:
+    """A pressed hand rests at the table's height, by Pinocchio, and moves as in our simulation."""
+    drives = [
+        ServoDrive(20.0, 0.8, armature=0.02, offset=0.2),
+        ServoDrive(12.0, 0.3, armature=0.01, offset=-0.1),
+    ]
+    time = np.arange(150) * 0.02
+    command = np.minimum(time, 1.0)[:, None] * [0.9, 0.5] + [0.2, -0.1]
+    recording = ServoRecording(time, command, command)
+    assert arm.source is not None
+    tip = arm.source.placements[1] @ [0.15, 0.0, 0.0, 1.0]
+    x, y, z = (float(value) for value in tip[:3])
+    table = Table(1, (x, y, z), -0.1)
+    written = write_servo_mjcf(arm, drives, tmp_path / "servos.xml", table=table)
+    replayed = replay_in_mujoco(written.path, recording)
+    model = pinocchio.buildModelFromUrdf(str(tmp_path / "arm.urdf"))
+    data = model.createData()
+    pinocchio.forwardKinematics(model, data, replayed[-1] - [0.2, -0.1])
+    assert abs((data.oMi[2] * np.array([0.15, 0.0, 0.0]))[2] + 0.1) < TOUCH
+    ours = simulate(arm, drives, time, command, command[0], table=table)
+    np.testing.assert_allclose(replayed, ours, atol=SIMULATION)
+    assert np.max(np.abs(ours - simulate(arm, drives, time, command, command[0]))) > 0.1

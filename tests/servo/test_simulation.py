@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 import jaxcslc as jc
 from jaxcslc.manipulator import LinkParameters
-from jaxcslc.servo import ServoDrive, simulate
+from jaxcslc.servo import ServoDrive, Table, simulate
 from jaxcslc.servo._simulation import drive_rows, inverse_dynamics, joint_loads, simulate_joint
 from tests.servo.arms import arm, arm_xml, held_sines
 
@@ -243,3 +243,49 @@ def test_refuses_what_does_not_belong_together(tmp_path: Path) -> None:
     unknown = jc.Manipulator.from_modified_dh([(0, 0, 0, 0)])
     with pytest.raises(ValueError, match="has no masses"):
         simulate(unknown, [DRIVE], TIME, command[:, :1], [0.0])
+
+
+LEVEL, TIP = -0.12, 0.12  # m: of a table, and of the point on the last link that leans on it
+SPHERE = 0.001  # m
+
+
+def on_table(xml: str) -> str:
+    """Return the arm of `arm_xml` with a table, and a sphere at the end of its last link."""
+    stiff = 'condim="1" solref="0.001 1" solimp="0.99 0.9999 0.001" mass="0"'
+    plane = f'<geom type="plane" size="1 1 1" pos="0 0 {LEVEL - SPHERE}" {stiff}/>'
+    sphere = f'<geom type="sphere" size="{SPHERE}" pos="{TIP} 0 0" {stiff}/>'
+    first, *others = xml.replace("<worldbody>", f"<worldbody>{plane}").rsplit("</body>", 3)
+    return f"{first}{sphere}</body></body></body>{others[-1]}"
+
+
+def test_a_hand_leans_on_a_table_as_in_mujoco(tmp_path: Path) -> None:
+    """It is pressed onto the table, slides along, and leaves it again."""
+    command = held_sines(TIME, 3)
+    robot, drive = arm(tmp_path), ServoDrive(12.0, 0.8, armature=0.01)
+    table = Table(2, (TIP, 0.0, 0.0), LEVEL)
+    start = command[0]
+    got = simulate(robot, [drive] * 3, TIME, command, start, table=table, longest_step=FINE)
+    expected = in_mujoco(on_table(arm_xml(step=FINE)), command)
+    through = simulate(robot, [drive] * 3, TIME, command, start, longest_step=FINE)
+    assert np.max(np.abs(through - expected)) > 100.0 * FIRST_ORDER
+    np.testing.assert_allclose(got, expected, atol=8.0 * FIRST_ORDER)
+
+
+@pytest.mark.parametrize("play", [0.0, 0.02])
+def test_a_hand_rests_on_a_table(tmp_path: Path, play: float) -> None:
+    """Whatever friction and play: at rest the point is at the table's height."""
+    drive = ServoDrive(12.0, 0.8, armature=0.01, coulomb=0.05, static=0.02, stribeck=0.1, play=play)
+    command = np.tile(np.minimum(TIME, 1.0)[:, None] * [-0.8, -0.3, -0.2], 1)
+    table = Table(2, (TIP, 0.0, 0.0), LEVEL)
+    q = simulate(arm(tmp_path), [drive] * 3, TIME, command, np.zeros(3), table=table)
+    model = mujoco.MjModel.from_xml_string(on_table(arm_xml()))
+    data = mujoco.MjData(model)
+    heights: list[float] = []
+    for row in q:
+        data.qpos[:] = row
+        mujoco.mj_kinematics(model, data)
+        heights.append(data.geom_xpos[1, 2] - LEVEL)
+    assert min(heights) > -2e-4
+    np.testing.assert_allclose(heights[-50:], 0.0, atol=5e-5)
+    np.testing.assert_allclose(q[-1], q[-50], atol=1e-4)
+    assert command[-1] @ [1.0, 1.0, 1.0] < q[-1] @ [1.0, 1.0, 1.0] - 0.1
