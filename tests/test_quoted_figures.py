@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from scripts.studies.stored import table
 from scripts.tools.stored_figures import cell_named, numbers_of, stored
 
 
@@ -40,8 +41,8 @@ class Claim:
     holds: Callable[..., bool]
 
 
-def real_robots(table: str, *rows: str) -> tuple[str, ...]:
-    return tuple(f"real_robots/{table} | {row} | mean" for row in rows)
+def real_robots(arm: str, *rows: str) -> tuple[str, ...]:
+    return tuple(f"real_robots/{arm} | {row} | mean" for row in rows)
 
 
 _OURS = ("identify", "identify, best")
@@ -71,9 +72,17 @@ QUOTES = (
         Quote(
             "README.md",
             f"| {name} | {{}} | {{}} | {{}} |",
-            real_robots(table, pipeline, *_OURS),
+            real_robots(arm, pipeline, *_OURS),
         )
-        for name, table, pipeline in _REAL_CASES
+        for name, arm, pipeline in _REAL_CASES
+    ),
+    *(
+        Quote(
+            "docs/real_robots.md",
+            f"{arm} ({{}} %, pipeline {{}} %)",
+            real_robots(arm, "identify", pipeline),
+        )
+        for _, arm, pipeline in _REAL_CASES
     ),
     Quote(
         "docs/scale.md",
@@ -152,7 +161,7 @@ QUOTES = (
         "docs/estimators.md",
         "contain the truth in {} % of cases, and in {} % with systematic errors",
         tuple(
-            f"estimators/disturbances | {row} | 95 % intervals that hold"
+            f"estimators/all disturbances | {row} | 95 % intervals that hold"
             for row in ("least squares", "least squares, with systematic errors")
         ),
     ),
@@ -254,8 +263,8 @@ CLAIMS = (
         "better than filtering and weighted least squares in five of six cases",
         tuple(
             reference
-            for _, table, pipeline in _REAL_CASES
-            for reference in real_robots(table, pipeline, "identify")
+            for _, arm, pipeline in _REAL_CASES
+            for reference in real_robots(arm, pipeline, "identify")
         ),
         lambda *errors: (
             sum(ours < usual for (usual,), (ours,) in zip(errors[::2], errors[1::2], strict=True))
@@ -281,7 +290,7 @@ CLAIMS = (
         "docs/estimators.md",
         "instruments have 22 times less error than least squares",
         tuple(
-            f"estimators/gaussian, rough | {row} | ε [N m]"
+            f"estimators/Gaussian noise, hardly smoothed | {row} | ε [N m]"
             for row in ("least squares", "instruments, known controller")
         ),
         lambda least, instruments: round(least[0] / instruments[0]) == 22,
@@ -342,6 +351,13 @@ def test_claims_hold_of_stored_figures(claim: Claim) -> None:
     assert claim.phrase in words(claim.page)
     values = [figures_of(reference) for reference in claim.figures]
     assert claim.holds(*values), f"{claim.page}: {claim.phrase}, stored {values}"
+
+
+def test_lost_joints_of_real_arms_are_counted() -> None:
+    _, *rows = table("real_robots/losses")
+    lost = sum(len(re.findall(r"\d:", joints)) for *_, joints in rows)
+    joints = sum(len(table(f"real_robots/{recording}")[0]) - 3 for recording, *_ in rows)
+    assert f"at {lost} of {joints} joints" in words("docs/real_robots.md")
 
 
 def test_a_wrong_digit_is_noticed() -> None:

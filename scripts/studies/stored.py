@@ -13,7 +13,6 @@ has another table than its stored results.
 import argparse
 import datetime
 import json
-import os
 import re
 import shlex
 import sys
@@ -23,8 +22,6 @@ from pathlib import Path
 
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
-# Of linear algebra: it changes how long a study takes.
-_THREADS = "OPENBLAS_NUM_THREADS"
 _BLOCK = re.compile(r"(<!-- table: (.+) -->\n)(?:(?!<!-- table).*\n)*?(<!-- end -->)")
 
 
@@ -116,9 +113,7 @@ def store(
     spec = sys.modules["__main__"].__spec__
     module = spec.name if spec else Path(sys.argv[0]).stem
     words = ["python", "-m", module, *(word for word in sys.argv[1:] if word != "--store")]
-    threads = os.environ.get(_THREADS)
-    command = f"{_THREADS}={threads} " * (threads is not None) + shlex.join(words)
-    save(run, Results(command, datetime.date.today().isoformat(), sample, tables))
+    save(run, Results(shlex.join(words), datetime.date.today().isoformat(), sample, tables))
     print(f"stored in docs/results/{run}.json; python -m scripts.tools.evidence fills the pages")
 
 

@@ -9,6 +9,7 @@ docs/images/evidence is another.
 
 import contextlib
 import html
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,9 @@ DOCS = Path(__file__).parents[2] / "docs"
 FOLDER = DOCS / "images" / "evidence"
 # Far apart in hue and in lightness (Okabe and Ito).
 _COLOURS = ("#0072b2", "#e69f00", "#3b3b3b", "#56b4e9", "#d55e00")
-_BAR, _GAP, _LEFT, _WIDTH, _TOP = 13, 10, 250, 760, 64  # pixels
+# Narrow, with labels above bars, so that a phone shows letters of a legible size. In pixels.
+_BAR, _GAP, _LEFT, _WIDTH, _LINE = 13, 10, 16, 520, 18
+_LETTER, _TITLE = 7.0, 66  # the width of a letter, at most; letters of a line of the title
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,7 @@ CHARTS: Mapping[str, Chart] = {
             "instruments, observer",
             "direct dynamics, known controller",
         ),
-        {"encoders": "encoders", "all disturbances": "disturbances"},
+        {"encoders": "encoders", "all disturbances": "all disturbances"},
     ),
     "likelihood": Chart(
         "Held-out torque error on real arms, mean of the joints [%]",
@@ -178,10 +181,10 @@ CHARTS: Mapping[str, Chart] = {
         "systems/coverage | {group} | {series}",
         {
             "cart-pole": "cart-pole, 6 coefficients",
-            "vehicle": "vehicle, 3",
-            "motor": "motor, 12",
-            "quadrotor": "quadrotor, 9",
-            "tanks": "tanks, 4",
+            "vehicle": "vehicle, 3 coefficients",
+            "motor": "motor, 12 coefficients",
+            "quadrotor": "quadrotor, 9 coefficients",
+            "tanks": "tanks, 4 coefficients",
         },
         {"corrected": "within 2 errors", "least squares": "least squares"},
     ),
@@ -282,17 +285,27 @@ CHARTS: Mapping[str, Chart] = {
 def drawn(chart: Chart) -> str:
     """Return a chart as SVG."""
     values = chart.values()
-    scale = (_WIDTH - _LEFT - 70) / max(max(row) for row in values)
-    parts = [_text(16, 24, chart.title, weight="600")]
-    left = _LEFT
+    scale = (_WIDTH - _LEFT - 60) / max(max(row) for row in values)
+    parts: list[str] = []
+    top = _LINE
+    for line in textwrap.wrap(chart.title, _TITLE):
+        top += _LINE
+        parts.append(_text(_LEFT, top - 10, line, weight="600"))
+    left = float(_LEFT)
     for name, colour in zip(chart.series, _COLOURS, strict=False):
         if len(chart.series) > 1:
-            parts.append(f'<rect x="{left}" y="38" width="11" height="11" fill="{colour}"/>')
-            parts.append(_text(left + 16, 48, name))
-            left += 30 + 7 * len(name)
-    top = _TOP
+            wide = 30 + _LETTER * len(name)
+            if left > _LEFT and left + wide > _WIDTH:
+                left, top = float(_LEFT), top + _LINE
+            parts.append(
+                f'<rect x="{left:.1f}" y="{top - 4}" width="11" height="11" fill="{colour}"/>'
+            )
+            parts.append(_text(left + 16, top + 6, name))
+            left += wide
+    top += _LINE + _GAP
     for label, row in zip(chart.groups, values, strict=True):
-        parts.append(_text(_LEFT - 10, top + _BAR * len(row) / 2 + 4, label, anchor="end"))
+        parts.append(_text(_LEFT, top, label))
+        top += 6
         for value, colour in zip(row, _COLOURS, strict=False):
             wide = max(1.0, scale * value)
             parts.append(
@@ -301,14 +314,14 @@ def drawn(chart: Chart) -> str:
             )
             parts.append(_text(_LEFT + wide + 6, top + _BAR - 3, f"{value:.3g}"))
             top += _BAR
-        top += _GAP
+        top += _LINE
     words = "; ".join(
         f"{label}: " + ", ".join(f"{value:.3g}" for value in row)
         for label, row in zip(chart.groups, values, strict=True)
     )
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {top}" width="{_WIDTH}"'
-        f' height="{top}" font-family="system-ui, sans-serif" font-size="12" role="img"'
+        f' height="{top}" font-family="system-ui, sans-serif" font-size="13" role="img"'
         f' aria-label="{html.escape(chart.title)}. {html.escape(words)}">\n'
         f'<rect width="{_WIDTH}" height="{top}" rx="8" fill="#ffffff"/>\n'
         + "\n".join(parts)
@@ -316,9 +329,9 @@ def drawn(chart: Chart) -> str:
     )
 
 
-def _text(x: float, y: float, text: str, *, anchor: str = "start", weight: str = "400") -> str:
+def _text(x: float, y: float, text: str, *, weight: str = "400") -> str:
     return (
-        f'<text x="{x:.1f}" y="{y:.1f}" fill="#1f2933" text-anchor="{anchor}"'
+        f'<text x="{x:.1f}" y="{y:.1f}" fill="#1f2933"'
         f' font-weight="{weight}">{html.escape(text)}</text>'
     )
 

@@ -34,7 +34,8 @@ from jaxcslc.training import half_rms
 from scripts.studies import command
 from scripts.studies.puma560.machines import machines
 from scripts.studies.rows import Rows, made_of
-from scripts.studies.tables import rows_table
+from scripts.studies.stored import store
+from scripts.studies.tables import cells_of, grouped, rows_table
 from scripts.studies.truth import true_coefficients
 
 
@@ -147,6 +148,8 @@ def study(options: argparse.Namespace) -> int:
     rows = [finished[*key, name] for key in recordings for name in RIGHT]
     table = [summary(rows, case, name) for case in options.cases for name in RIGHT]
     print(rows_table(table, digits=3))
+    sample = f"{2 * options.recordings} recordings of each row"
+    store(options, "alignment", sample, {"machines": grouped(cells_of(table, digits=3))})
     with all_or_nothing(options.output) as folder:
         write_csv(folder / "alignment.csv", table)
     print(f"\nwrote alignment.csv into {options.output}")
@@ -158,6 +161,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--recordings", type=int, default=8, help="of each machine and case")
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES), metavar="CASE",
                         help=f"some of: {', '.join(CASES)}")  # fmt: skip
+    command.add_store(parser)
     options = command.parse(parser, argv, recordings=1, cases=["encoders"])
     command.require_least(parser, options, recordings=1)
     return command.run(

@@ -23,7 +23,8 @@ from scripts.studies.checks.arms import ARMS, network
 from scripts.studies.checks.recordings import Conditions, record
 from scripts.studies.checks.spoilt import SPOILT, lagging
 from scripts.studies.rows import Rows, made_of
-from scripts.studies.tables import rows_table
+from scripts.studies.stored import store
+from scripts.studies.tables import cells_of, rows_table
 
 
 jc.enable_x64()
@@ -42,6 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=3, help="of each kind on each arm")
     parser.add_argument("--clean", type=int, default=21, help="clean recordings")
     parser.add_argument("--lags", type=int, default=30, help="recordings with late torques")
+    command.add_store(parser)
     options = command.parse(
         parser, arguments, arms=["six"], kinds=["units", "gap", "spikes"], seeds=1, clean=1, lags=1
     )
@@ -55,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     missing = [job for job in jobs if job not in rows]
     return command.run(
         parser,
-        lambda: _study(rows, jobs, missing, folder),
+        lambda: _study(rows, jobs, missing, options),
         rows.path,
         seconds=6.0 * len(missing) + 20.0,
     )
@@ -75,7 +77,8 @@ def _jobs(options: argparse.Namespace) -> Iterator[Job]:
         yield options.arms[number % len(options.arms)], _LAG, number
 
 
-def _study(rows: Rows, jobs: list[Job], missing: list[Job], folder: Path) -> int:
+def _study(rows: Rows, jobs: list[Job], missing: list[Job], options: argparse.Namespace) -> int:
+    folder: Path = options.output
     for arm, kind, seed in command.progress(missing, desc="recordings"):
         judge: Callable[[str, int], dict[str, Any]] = {_CLEAN: _clean, _LAG: _lag}.get(
             kind, lambda arm, seed, kind=kind: _spoilt(arm, kind, seed)
@@ -87,6 +90,10 @@ def _study(rows: Rows, jobs: list[Job], missing: list[Job], folder: Path) -> int
     with all_or_nothing(folder) as written:
         (written / "tables.txt").write_text(text + "\n", encoding="utf-8")
         write_csv(written / "findings.csv", [row for row in results if "first" in row])
+    sample = f"{options.seeds} recordings of each kind and arm"
+    if table := _cause_rows(results):
+        causes = cells_of(table[:-1], ["spoilt", "first"])
+        store(options, "checks", sample, {"causes": [["spoilt", "named first"], *causes[1:]]})
     return 0
 
 
@@ -164,7 +171,8 @@ def _recording(arm: str, conditions: Conditions, seed: int) -> jc.Recording:
     return _kept[key]
 
 
-def _tables(results: list[dict[str, Any]]) -> Iterator[str]:
+def _cause_rows(results: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A row for each kind of spoilt recording, and one for all."""
     kinds = dict.fromkeys(row["kind"] for row in results if row["kind"] not in (_CLEAN, _LAG))
     rows: list[dict[str, Any]] = []
     for kind in kinds:
@@ -174,6 +182,11 @@ def _tables(results: list[dict[str, Any]]) -> Iterator[str]:
     if rows:
         spoilt = [row for row in results if row["kind"] in kinds]
         rows.append({"spoilt": "all", **_counts(spoilt), "named in place of it": ""})
+    return rows
+
+
+def _tables(results: list[dict[str, Any]]) -> Iterator[str]:
+    if rows := _cause_rows(results):
         yield "the right cause is named first\n" + rows_table(rows)
     clean = [row for row in results if row["kind"] == _CLEAN]
     if clean:

@@ -1,6 +1,6 @@
 """Tables and pictures of the control study's rows."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +74,34 @@ def summary_rows(rows: Rows) -> Rows:
             }
         )
     return out
+
+
+# Rows of the page's tables, by controller and coefficients.
+TRACKING = {
+    "PID, gains for 20 rad/s": ("PID", "none"),
+    "PID, the thesis's gains": ("PID, thesis", "none"),
+    **{
+        f"computed torque, {name}": ("computed torque", name)
+        for name in ("30 % wrong", "Ar+LS", "Ar+Rg", "CSLC", "truth")
+    },
+}
+PARTIAL = {
+    "PID + gravity, the thesis's gains": ("PID + gravity", "CSLC"),
+    **{name: (name, "CSLC") for name in ("gravity only", "no friction", "no velocity term")},
+}
+
+
+def page_table(rows: Rows, cases: Mapping[str, tuple[str, str]]) -> list[list[str]]:
+    """The page's table of flange errors, medians over seeds [mm]: the head first."""
+    motions = motions_of(rows)
+    head = ["", *(f"{motion}, {duration:g} s" for motion, duration in motions)]
+    table = [head]
+    for label, case in cases.items():
+        errors = (
+            [row[HAND] for row in rows_of(rows, *motion, *case).values()] for motion in motions
+        )
+        table.append([label, *(f"{np.median(some):#.3g}" if some else "" for some in errors)])
+    return table
 
 
 def ratio_rows(rows: Rows) -> Rows:

@@ -42,8 +42,17 @@ from scripts.studies.control.checks import ideal_rows, stability_rows
 from scripts.studies.control.coefficients import SETS, machine_of, stored_coefficient_sets
 from scripts.studies.control.loops import CONTROLLERS, START, WITHOUT_MODEL, LoopDesign, stacked
 from scripts.studies.control.motions import CENTRE, MOTIONS, NORMAL, performed
-from scripts.studies.control.results import CASE, draw, ratio_rows, summary_rows
+from scripts.studies.control.results import (
+    CASE,
+    PARTIAL,
+    TRACKING,
+    draw,
+    page_table,
+    ratio_rows,
+    summary_rows,
+)
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 from scripts.studies.tables import rows_table
 from scripts.studies.truth import published_coefficients
 
@@ -128,6 +137,8 @@ def report(options: argparse.Namespace, rows: list[dict[str, object]]) -> int:
     ]
     write_csv(folder / "seeds.csv", without_traces)
     write_csv(folder / "summary.csv", summary)
+    tables = {"tracking": page_table(good, TRACKING), "partial": page_table(good, PARTIAL)}
+    store(options, "control", f"{options.seeds} machines", tables)
     draw(good, folder, options.controllers, SETS, CENTRE, NORMAL)
     print(f"wrote tables and pictures into {folder}")
     return 0
@@ -203,6 +214,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--ideal", action="store_true", help="the ideal case instead of the study")
     parser.add_argument("--stability", type=int, nargs="?", const=1000, metavar="N",
                         help="N random motions a controller instead of the study")  # fmt: skip
+    command.add_store(parser)
     options = command.parse(
         parser, argv, seeds=2, samples=1000, durations=[0.8],
         controllers=["PID", "computed torque"],

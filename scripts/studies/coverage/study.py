@@ -29,6 +29,8 @@ from jaxcslc._text_table import text_table
 from jaxcslc.report import all_or_nothing, write_csv
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
+from scripts.studies.tables import grouped
 from scripts.studies.truth import true_coefficients
 
 
@@ -61,10 +63,11 @@ class Coverage:
         share = self.covered.mean(axis=0)
         within = np.mean((share >= 0.93) & (share <= 0.97))
         return [
-            f"{self.kind}, {self.errors} errors",
-            f"{self.covered.mean():.4f}",
-            f"{np.median(share):.3f}",
-            f"{share.min():.3f} to {share.max():.3f}",
+            self.kind,
+            self.errors,
+            f"{100 * self.covered.mean():.1f} %",
+            f"{100 * np.median(share):.1f} %",
+            f"{100 * share.min():.1f} to {100 * share.max():.1f} %",
             f"{100 * within:.0f} %",
         ]
 
@@ -172,12 +175,16 @@ def study(options: argparse.Namespace) -> int:
         for kind in KINDS
         for coverage in coverage_of(kind, rows, options.recordings, truth)
     ]
-    header = ["recordings", "mean", "median", "coefficients from", "within 93 to 97 %"]
+    header = ["recordings", "errors", "mean", "median", "lowest to highest, over coefficients"]
+    header += ["within 93 to 97 %"]
     print(
         f"{100 * options.level:g} % intervals of {len(names)} coefficients that covered the truth,"
         f" {options.recordings} recordings of each kind"
     )
-    print(text_table(header, [coverage.row() for coverage in results]))
+    table = [header, *(coverage.row() for coverage in results)]
+    print(text_table(header, table[1:], left=header[:2]))
+    sample = f"{options.recordings} recordings of each kind"
+    store(options, "coverage", sample, {"intervals": grouped(table)})
     with all_or_nothing(options.output) as folder:
         of_coefficients = [row for coverage in results for row in coverage.rows(names, truth)]
         write_csv(folder / "coverage.csv", of_coefficients)
@@ -189,6 +196,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "coverage_study")
     parser.add_argument("--recordings", type=int, default=500, help="how many of each kind")
     parser.add_argument("--level", type=float, default=0.95, help="of the intervals")
+    command.add_store(parser)
     options = command.parse(parser, argv, recordings=5)
     command.require_least(parser, options, recordings=2)
     command.require_between(parser, options, level=(0.0, 1.0))

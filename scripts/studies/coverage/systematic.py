@@ -24,8 +24,14 @@ from jaxcslc.report import WELL_DETERMINED, all_or_nothing, coefficient_rows, wr
 from jaxcslc.uncertainty import systematic_error, uncertainty_interval
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
-from scripts.studies.tables import rows_table
-from scripts.studies.truth import true_coefficients, truth_within_intervals
+from scripts.studies.stored import store
+from scripts.studies.tables import cells_of, grouped, rows_table
+from scripts.studies.truth import (
+    ALL_CAUSES,
+    STANDARD_ERROR,
+    true_coefficients,
+    truth_within_intervals,
+)
 
 
 jc.enable_x64()
@@ -84,6 +90,23 @@ def summary(rows: Sequence[dict[str, Any]], machine: str, case: str) -> dict[str
         f"{before} [%]": 100 * float(np.median([row[before] for row in some])),
         f"{after} [%]": 100 * float(np.median([row[after] for row in some])),
     }
+
+
+def page_table(table: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """The page's table, the head first: `summary` without widths of single errors."""
+    causes = list(table[0])[2:-3]
+    lines = [
+        [
+            f"{row['machine']}, {row['case']}",
+            *(f"{row[cause]:.3g}" for cause in causes),
+            ", ".join(f"{row[width]:.2g}" for width in list(row)[-2:]) + " %",
+        ]
+        for row in table
+    ]
+    heads = (
+        {STANDARD_ERROR: f"{STANDARD_ERROR} alone", ALL_CAUSES: "all"}.get(x, x) for x in causes
+    )
+    return [["", *heads, "half width before, after"], *lines]
 
 
 def confident_errors(rows: Sequence[dict[str, Any]], verdicts: str) -> int:
@@ -152,6 +175,13 @@ def study(options: argparse.Namespace) -> int:
     print(rows_table(table, digits=3))
     print("\nall disturbances: the coefficients that are off by the most standard errors\n")
     print(rows_table(worst, digits=3))
+    sample = f"{options.recordings} recordings of each row"
+    store(
+        options,
+        "systematic",
+        sample,
+        {"causes": page_table(table), "coefficients": grouped(cells_of(worst, digits=3))},
+    )
     before, after = (
         confident_errors(rows, name) for name in ("verdict, standard error", "verdict")
     )
@@ -170,6 +200,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "systematic_study")
     parser.add_argument("--recordings", type=int, default=8, help="how many of each kind")
     parser.add_argument("--level", type=float, default=0.95, help="of the intervals")
+    command.add_store(parser)
     options = command.parse(parser, argv, recordings=1)
     command.require_least(parser, options, recordings=1)
     command.require_between(parser, options, level=(0.0, 1.0))

@@ -28,7 +28,8 @@ from jaxcslc.manipulator import LinkParameters
 from jaxcslc.report import all_or_nothing, write_csv
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
-from scripts.studies.tables import median_text, rows_table
+from scripts.studies.stored import store
+from scripts.studies.tables import cells_of, median_text, rows_table
 
 
 jc.enable_x64()
@@ -258,6 +259,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--arms", nargs="+", default=list(ARMS), help="some of them")
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), help="some of them")
     command.add_seeds(parser, 3)
+    command.add_store(parser)
     options = command.parse(parser, arguments, arms=["two joints", "finger"], seeds=1)
     command.require_least(parser, options, seeds=1)
     command.require_some_of(parser, "arm", options.arms, ARMS)
@@ -286,6 +288,7 @@ def _study(
         rows.add({"arm": arm, "kind": kind, "seed": seed, **largest_torque(arm, kind, seed)})
     table = [_line(kind, [rows[job] for job in jobs if job[1] == kind]) for kind in options.kinds]
     print("largest torque for other motion over that of the file\n" + rows_table(table))
+    store(options, "degenerate", f"{options.seeds} seeds of each arm", {"largest": cells_of(table)})
     with all_or_nothing(options.output) as written:
         write_csv(written / "degenerate.csv", table)
     return 0

@@ -42,13 +42,15 @@ _ESTIMATORS: dict[str, Callable[[Experiment, jc.Settings], _Estimator]] = {
         made.loop, settings
     ),
     "instruments, observer": lambda _, settings: jc.InstrumentalVariables(settings=settings),
-    "direct dynamics": lambda made, settings: jc.DirectDynamics(made.loop, settings),
+    "direct dynamics, known controller": lambda made, settings: jc.DirectDynamics(
+        made.loop, settings
+    ),
     "maximum likelihood": lambda _, settings: jc.MaximumLikelihood(
         "sampled" if settings.preparation.torque_alignment == "sample" else "held", settings
     ),
 }
-_ORDINARY, _SYSTEMATIC = "least squares", "least squares, systematic errors"
-_ROUGH = ", hardly smoothed"
+_ORDINARY, _SYSTEMATIC = "least squares", "least squares, with systematic errors"
+ROUGH = ", hardly smoothed"
 # As little smoothing as there is: nobody has chosen it for the recording.
 HARDLY_SMOOTHED = jc.Settings(
     jc.Preparation(smoothing=jc.AveragedSplines(3), torque_alignment="mean")
@@ -59,9 +61,9 @@ NAMES = (
     _ORDINARY,
     _SYSTEMATIC,
     *_ESTIMATORS,
-    _ORDINARY + _ROUGH,
-    "instruments, known controller" + _ROUGH,
-    "instruments, observer" + _ROUGH,
+    _ORDINARY + ROUGH,
+    "instruments, known controller" + ROUGH,
+    "instruments, observer" + ROUGH,
 )
 
 
@@ -76,7 +78,7 @@ def estimates(
     """
     recording, settings = experiment.recording, None
     for name in (name for name in NAMES if name in methods):
-        rough = name.endswith(_ROUGH)
+        rough = name.endswith(ROUGH)
         if settings is None and not rough:
             settings = jc.choose_settings(network, recording).settings
         of_method = HARDLY_SMOOTHED if rough or settings is None else settings
@@ -90,7 +92,7 @@ def estimates(
             fit = of_method.fit(network, of_method.patterns(recording))
             interval = fit.confidence_interval()
         else:
-            estimator = _ESTIMATORS[name.removesuffix(_ROUGH)](experiment, of_method)
+            estimator = _ESTIMATORS[name.removesuffix(ROUGH)](experiment, of_method)
             first = _FIRST.fit(network, _FIRST.patterns(recording)) if rough else None
             result = estimator.fit(network, recording, first)
             fit, interval = result.fit, result.fit.confidence_interval()

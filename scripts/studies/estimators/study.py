@@ -29,9 +29,10 @@ import sim
 from jaxcslc._text_table import text_table
 from jaxcslc.report import write_csv
 from scripts.studies import command
-from scripts.studies.estimators.methods import NAMES, estimates
+from scripts.studies.estimators.methods import NAMES, ROUGH, estimates
 from scripts.studies.estimators.recordings import KINDS, experiment
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 from scripts.studies.truth import epsilon, moving_patterns, true_coefficients
 
 
@@ -62,12 +63,15 @@ def rows_of(
         }
 
 
-def table_text(kind: str, rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the table of one recording, a line per method."""
-    methods = [name for name in NAMES if any(row["method"] == name for row in rows)]
-    lines = [list(summary(rows, name).values()) for name in methods]
-    header = [kind, "ε [N m]", "bias", "95 % intervals", "CPU s", "biased"]
-    return text_table(header, lines)
+def tables_of(kind: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, list[list[str]]]:
+    """Return the tables of one kind of recording, a line per method, the head first."""
+    head = [kind, "ε [N m]", "bias", "95 % intervals that hold", "processor [s]", "biased"]
+    tables: dict[str, list[list[str]]] = {}
+    for name in (name for name in NAMES if any(row["method"] == name for row in rows)):
+        method, rough, _ = name.partition(ROUGH)
+        line = [method, *list(summary(rows, name).values())[1:]]
+        tables.setdefault(kind + rough, [head]).append(line)
+    return tables
 
 
 def summary(rows: Sequence[Mapping[str, Any]], method: str) -> dict[str, str]:
@@ -106,8 +110,12 @@ def study(options: argparse.Namespace) -> int:
             line = f"{kind}, seed {seed}, {row['method']}: {row['epsilon']:.4f} N m"
             tqdm.write(line, sys.stderr)
     rows = [row for row in finished.all() if row["seed"] in seeds]
+    tables: dict[str, list[list[str]]] = {}
     for kind in options.kinds:
-        print(table_text(kind, [row for row in rows if row["kind"] == kind]), end="\n\n")
+        tables |= tables_of(kind, [row for row in rows if row["kind"] == kind])
+    for head, *lines in tables.values():
+        print(text_table(head, lines), end="\n\n")
+    store(options, "estimators", f"seeds {seeds[0]} to {seeds[-1]}", tables)
     write_csv(
         options.output / "estimators.csv",
         [{name: value for name, value in row.items() if name != "error"} for row in rows],
@@ -127,6 +135,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--methods", nargs="+", default=list(NAMES), metavar="METHOD", help="; ".join(NAMES)
     )
+    command.add_store(parser)
     options = command.parse(
         parser, argv, seeds=1, samples=1000, time_step=5e-4, kinds=["Gaussian noise"]
     )

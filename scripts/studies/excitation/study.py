@@ -48,6 +48,7 @@ from scripts.studies.excitation.motions import (
 )
 from scripts.studies.excitation.pictures import figure
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 
 
 jc.enable_x64()
@@ -116,6 +117,42 @@ def row_of(
     return {"part": part, "name": name, "number": number, **row}
 
 
+# Rows and columns of the page's tables; what a design's name is there.
+_PAGE = ("epsilon", "error", "standard error")
+_NAMES = {"overall": "designed: overall", "mean": "designed: mean standard error"}
+
+
+def page_table(rows: Sequence[dict[str, Any]], *, inverse: bool = False) -> list[list[str]]:
+    """The page's table of motions, the head first: medians over seeds, and ratios to the design.
+
+    - `inverse`: ratios of the design to the motion.
+    """
+    ours = {row["number"]: row for row in rows if row["name"] == "overall"}
+    table = [["motion", "recordings", *(QUANTITIES[name] for name in _PAGE)]]
+    for name in MOTIONS:
+        some = [row for row in rows if row["name"] == name]
+        if not some:
+            continue
+        line = [_NAMES.get(name, name), str(len(some))]
+        for quantity in _PAGE:
+            percent = quantity != "epsilon"
+            middle = np.median([row[quantity] for row in some]) * (100.0 if percent else 1.0)
+            text = f"{middle:.2g} %" if percent else f"{middle:.3f}"
+            if name != "overall":
+                ratios = [
+                    row[quantity] / ours[row["number"]][quantity]
+                    for row in some
+                    if row["number"] in ours
+                ]
+                low, median, high = np.quantile(
+                    np.array(ratios) ** (-1 if inverse else 1), [0.1, 0.5, 0.9]
+                )
+                text += f"; {median:.2f} ({low:.2f} to {high:.2f})"
+            line.append(text)
+        table.append(line)
+    return table
+
+
 def compare_text(rows: Sequence[dict[str, Any]]) -> str:
     """Medians over seeds, with 10 and 90 % of them; ratios to the design, seed by seed."""
     lines = []
@@ -140,6 +177,18 @@ def compare_text(rows: Sequence[dict[str, Any]]) -> str:
     for quantity in QUANTITIES.values():
         header += [quantity, "over design's"]
     return text_table(header, lines, left=("motion",))
+
+
+def predicted_table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """The page's table of predicted over obtained errors, the head first."""
+    table = [["estimator", "recordings", "median", "least", "greatest"]]
+    for part in ("regression", "likelihood"):
+        errors = np.array([row["errors"] for row in rows if row["part"] == part])
+        predicted = predicted_errors(_designs["overall"][0], part).standard_error
+        ratio = predicted / np.sqrt(np.mean(errors**2, axis=0))
+        values = (np.median(ratio), ratio.min(), ratio.max())
+        table.append([part, str(len(errors)), *(f"{value:.3g}" for value in values)])
+    return table
 
 
 def repeated_text(rows: Sequence[dict[str, Any]], part: str) -> str:
@@ -237,9 +286,24 @@ def study(options: argparse.Namespace) -> int:
     rows = [row for row in finished.all()]
     for text in tables(rows):
         print(text, end="\n\n")
+    stored_parts(options, rows)
     if any(row["part"] == "compare" for row in rows):
         figure(rows, _designs["overall"][0], options.output / "excitation.png")
     return 0
+
+
+def stored_parts(options: argparse.Namespace, rows: Sequence[dict[str, Any]]) -> None:
+    """Keep the page's tables of the parts that there are."""
+    parts = {part: [row for row in rows if row["part"] == part] for part in PARTS}
+    sample = f"recordings as the columns say, {options.designs} designs of each criterion"
+    if directional := parts["directional"]:
+        tables = {"motions": page_table(directional, inverse=True)}
+        store(options, "excitation_directional", sample, tables)
+    if compared := parts["compare"]:
+        tables = {"predicted": predicted_table(rows), "motions": page_table(compared)}
+        tables["directions"] = page_table(parts["directions"], inverse=True)
+        tables["auto"] = page_table(parts["auto"])
+        store(options, "excitation", sample, tables)
 
 
 def _designed(options: argparse.Namespace) -> tuple[str, ...]:
@@ -315,6 +379,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--cache", default=".cache/jax", help="of compiled programs")
     quick = {"designs": 1, "seeds": 1, "repeats": 3, "fits": 0, "arms": 0, "pandas": 0, "jobs": 1}
     quick |= {"sequences": 0, "directions": 0, "directional": 0, "auto": 0}
+    command.add_store(parser)
     options = command.parse(parser, argv, **quick)
     command.require_least(parser, options, seeds=0, repeats=0, fits=0, arms=0, pandas=0, jobs=1)
     command.require_least(parser, options, designs=1, sequences=0, directions=0, auto=0)

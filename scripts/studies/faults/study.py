@@ -34,6 +34,7 @@ from jaxcslc.control import FAULTS, ComputedTorque, FaultMonitor, OutputFeedback
 from jaxcslc.report import all_or_nothing, write_csv
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 from scripts.studies.truth import true_coefficients
 
 
@@ -180,9 +181,17 @@ def fault_keys(options: argparse.Namespace) -> list[tuple[str, int, float]]:
     ]
 
 
-def table(rows: Sequence[dict[str, Any]]) -> str:
-    """A line for each kind of fault."""
-    lines: list[list[str]] = []
+def table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """A line for each kind of fault, the head first: median, 95th percentile and worst."""
+    lines = [
+        [
+            "fault",
+            "named rightly",
+            "detected after [ms], median / 95 % / worst",
+            "off by [mrad]",
+            "at rest after [s]",
+        ]
+    ]
     for kind in FAULTS[1:]:
         of_kind = [row for row in rows if row["fault"] == kind]
         named = [row for row in of_kind if row["named"]]
@@ -195,8 +204,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
                 spread([row["at_rest_after_s"] for row in named], ".2f"),
             ]
         )
-    header = ["fault", "named", "detected after [ms]", "off by [mrad]", "at rest after [s]"]
-    return text_table(header, lines, left=("fault",))
+    return lines
 
 
 def study(options: argparse.Namespace) -> int:
@@ -209,10 +217,16 @@ def study(options: argparse.Namespace) -> int:
     for row in rows:
         if not row["named"]:
             print(f"{row['fault']}, joint {row['joint']}: {row['what']}", file=sys.stderr)
-    print(table(rows))
-    print("median / 95th percentile / worst")
+    head, *lines = table(rows)
+    print(text_table(head, lines, left=("fault",)))
     runs = options.healthy * options.seeds
     print(f"healthy: {alarms} of {runs} runs alarmed ({8 * runs} motions)")
+    store(
+        options,
+        "faults",
+        f"{options.seeds} machines, {runs} healthy runs",
+        {"faults": [head, *lines]},
+    )
     names = ["seed", "fault", "joint", "begins_s", "named", "what"]
     names += ["detected_after_ms", "off_by_mrad", "at_rest_after_s"]
     with all_or_nothing(options.output) as folder:
@@ -230,6 +244,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--healthy", type=int, default=10, help="paths of eight poses, no fault")
     parser.add_argument("--joints", type=int, nargs="+", default=[1, 2, 3, 4, 5, 6])
     parser.add_argument("--error", type=float, default=0.05, help="of coefficients, at most")
+    command.add_store(parser)
     options = command.parse(parser, argv, seeds=2, moments=1, healthy=1, joints=[2])
     command.require_least(parser, options, seeds=1, healthy=0)
     if not 1 <= options.moments <= len(_MOMENTS):

@@ -44,15 +44,15 @@ MOTIONS = (
     "single sine",
 )
 """Weak motions; `"rich"` is the one that is no such."""
-FILES = (
-    "right",
-    "usual",
-    "half masses",
-    "double masses",
-    "absurd inertia",
-    "no tool",
-    "far centre",
-)
+FILES = {
+    "right": "right",
+    "usual": "usual: masses 20 %, centres 2 cm",
+    "half masses": "half the masses",
+    "double masses": "twice the masses",
+    "absurd inertia": "one inertia 100 times",
+    "no tool": "a tool of 12 % of the arm missing",
+    "far centre": "one centre 14 cm off",
+}
 """Files: right, wrong as files usually are, and wrong on purpose in five ways."""
 RATE = 200.0
 STEP = 2 * np.pi / 2**18  # of encoders [rad]
@@ -68,19 +68,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "file_prior")
     parser.add_argument("--arms", nargs="+", default=list(ARMS), help="some of them")
     parser.add_argument("--motions", nargs="+", default=[*MOTIONS, "rich"], help="some of them")
-    parser.add_argument("--files", nargs="+", default=list(FILES[1:]), help="some of them")
+    parser.add_argument("--files", nargs="+", default=list(FILES)[1:], help="some of them")
     parser.add_argument(
         "--offset", type=float, default=0.0, help="torque offsets, in joints' Coulomb friction"
     )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     command.add_seeds(parser, 2)
+    command.add_store(parser)
     options = command.parse(
         parser, arguments, arms=["ur5"], motions=["slow", "rich"], files=["usual"], seeds=2
     )
     command.require_least(parser, options, seeds=1, jobs=1)
     command.require_some_of(parser, "arm", options.arms, ARMS)
     command.require_some_of(parser, "motion", options.motions, (*MOTIONS, "rich"))
-    command.require_some_of(parser, "file", options.files, FILES)
+    command.require_some_of(parser, "file", options.files, tuple(FILES))
     keys = ("arm", "motion", "file", "seed")
     rows = Rows(
         options.output / "rows.jsonl", keys, made_of({"offset": options.offset}, [Path(__file__)])
@@ -326,12 +327,8 @@ def _rms(values: Float[np.ndarray, "samples joints"]) -> Float[np.ndarray, " joi
     return np.sqrt(np.mean(values**2, axis=0))
 
 
-def _tables(rows: list[dict[str, Any]]) -> Iterator[str]:
-    failed = [row for row in rows if "failed" in row]
-    rows = [row for row in rows if "failed" not in row]
-    if failed:
-        yield f"{len(failed)} recordings too short to be fitted"
-    yield "torque of a rich motion after a weak one: error over that of the file, and of two fits"
+def _files(rows: list[dict[str, Any]]) -> list[list[str]]:
+    """A line for each file, the head first: ratios of torque errors, median and 95 %."""
     cells: list[list[str]] = []
     for file in dict.fromkeys(row["file"] for row in rows):
         some = [row for row in rows if row["file"] == file and row["motion"] != "rich"]
@@ -350,7 +347,7 @@ def _tables(rows: list[dict[str, Any]]) -> Iterator[str]:
         median, most = np.quantile(ratios, (0.5, 0.95), axis=0)
         cells.append(
             [
-                file,
+                FILES[file],
                 str(len(some)),
                 *(f"{a:.2f}, {b:.2f}" for a, b in zip(median, most, strict=True)),
                 f"{100 * np.mean(np.max(ratios[:, :2], axis=1) <= 1.0):.0f}",
@@ -361,7 +358,17 @@ def _tables(rows: list[dict[str, Any]]) -> Iterator[str]:
     header = ["file", "recordings", "error over file", "error over fit", "error over consistent"]
     header += ["below file and fit [%]", "below 1.1 times fit [%]", "warned [%]"]
     header += ["warned, rich motion [%]"]
-    yield text_table(header, cells, left=("file",))
+    return [header, *cells]
+
+
+def _tables(rows: list[dict[str, Any]]) -> Iterator[str]:
+    failed = [row for row in rows if "failed" in row]
+    rows = [row for row in rows if "failed" not in row]
+    if failed:
+        yield f"{len(failed)} recordings too short to be fitted"
+    yield "torque of a rich motion after a weak one: error over that of the file, and of two fits"
+    head, *lines = _files(rows)
+    yield text_table(head, lines, left=("file",))
     for file in dict.fromkeys(row["file"] for row in rows):
         yield ""
         yield from _determined(file, [row for row in rows if row["file"] == file])

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxcslc._text_table import text_table
 from scripts.studies.generalisation.pictures import generalisation_picture
 
 
@@ -61,8 +60,8 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return document
 
 
-def table(document: Sequence[Mapping[str, Any]]) -> str:
-    """The printed table: medians, some with quartiles."""
+def table(document: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """The printed table, the head first: medians, some with quartiles."""
 
     def spread(entry: Mapping[str, Any], name: str) -> str:
         low, high = (entry[f"{name}, {end} quartile"] for end in ("lower", "upper"))
@@ -82,9 +81,9 @@ def table(document: Sequence[Mapping[str, Any]]) -> str:
         ]
         for entry in document
     ]
-    header = ["ε [N m]", "weights", "order", "training", "stop set", "comparison", "in range"]
+    header = ["", "weights", "order", "training", "stop set", "comparison", "in range"]
     header += ["training, not stopped", "comparison, not stopped", "over the CSLC's"]
-    return text_table(header, cells)
+    return [header, *cells]
 
 
 def picture(rows: Sequence[Mapping[str, Any]], seeds: int) -> Figure:

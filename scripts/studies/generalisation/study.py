@@ -41,6 +41,7 @@ import numpy as np
 
 import jaxcslc as jc
 import sim
+from jaxcslc._text_table import text_table
 from jaxcslc.report import all_or_nothing, write_csv
 from scripts.studies import command
 from scripts.studies.figures import save_picture
@@ -56,6 +57,7 @@ from scripts.studies.generalisation.training import (
     train,
 )
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 
 
 jc.enable_x64()
@@ -127,7 +129,9 @@ def study(options: argparse.Namespace, kinds: Sequence[Kind]) -> int:
     """Makes what is missing, prints the table and writes the files."""
     rows = make_rows(options, kinds)
     document = summary(rows)
-    print(f"\n{table(document)}")
+    head, *lines = table(document)
+    print(f"\nε [N m]\n{text_table(head, lines)}")
+    store(options, "generalisation", f"{options.seeds} seeds", {"networks": [head, *lines]})
     with all_or_nothing(options.output) as folder:
         write_csv(folder / "generalisation.csv", document)
         save_picture(picture(rows, options.seeds), folder / "generalisation.png")
@@ -153,6 +157,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         default=[kind.name for kind in STANDARD],
         help="some of: " + ", ".join(by_name),
     )
+    command.add_store(parser)
     options = command.parse(parser, argv, seeds=2, samples=1200, epochs=6, rounds=1)
     if not 0.0 <= options.tolerance < np.inf:
         parser.error(f"--tolerance is {options.tolerance}; expected a finite number, 0 or more")

@@ -13,9 +13,12 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
+from jaxcslc._text_table import text_table
 from jaxcslc.report import write_csv
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
+from scripts.studies.tables import stacked
 
 
 INERTIA, WEIGHT, VISCOUS, DRY = 0.4, 3.0, 0.3, 0.8
@@ -84,7 +87,7 @@ def study_lengths(
     what: str,
     last: str,
     rows_of: Callable[[float, int, int], Iterator[dict[str, Any]]],
-    table: Callable[[Sequence[dict[str, Any]], float], str],
+    table: Callable[[Sequence[dict[str, Any]], float], list[list[str]]],
 ) -> int:
     """Make the rows that are missing, print a table per length, and write the rows.
 
@@ -100,8 +103,12 @@ def study_lengths(
             for row in rows_of(length, seed, options.samples):
                 finished.add(row)
     rows = [row for row in finished.all() if (row["length"], row["seed"]) in cases]
-    for length in lengths:
-        print(table(rows, length), end="\n\n")
+    tables = {f"{1e3 * length:g} mrad": table(rows, length) for length in lengths}
+    for head, *lines in tables.values():
+        print(text_table(head, lines), end="\n\n")
+    seeds = command.seeds_of(options)
+    run = f"likelihood_{Path(module).stem}"
+    store(options, run, f"seeds {seeds[0]} to {seeds[-1]}", {"lengths": stacked("length", tables)})
     write_csv(options.output / "seeds.csv", rows)
     print(f"wrote {options.output / 'seeds.csv'}")
     return 0

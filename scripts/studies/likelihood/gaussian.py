@@ -26,6 +26,7 @@ from jaxcslc._text_table import text_table
 from jaxcslc.report import write_csv
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 
 
 jc.enable_x64()
@@ -114,8 +115,8 @@ def exact_error(
     return float(np.max(np.abs(np.asarray(result.k) / true - 1.0))), result.converged
 
 
-def table(rows: Sequence[dict[str, Any]]) -> str:
-    """One line a level."""
+def table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """A line per level, the head first."""
     lines: list[list[str]] = []
     for noise in dict.fromkeys(row["noise"] for row in rows):
         part = [row for row in rows if row["noise"] == noise]
@@ -139,7 +140,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         "coverage of 95 % intervals",
         "converged",
     ]
-    return text_table(header, lines)
+    return [header, *lines]
 
 
 def study(options: argparse.Namespace) -> int:
@@ -157,7 +158,9 @@ def study(options: argparse.Namespace) -> int:
                 row = row_of(network, true, noise, seed, options.samples)
                 finished.add({"noise": noise, "seed": seed, **row})
     rows = [finished[(noise, seed)] for noise in LEVELS for seed in seeds]
-    print(table(rows))
+    head, *lines = table(rows)
+    print(text_table(head, lines))
+    store(options, "gaussian", f"seeds {seeds[0]} to {seeds[-1]}", {"noise": [head, *lines]})
     error, converged = exact_error(network, true, options.samples)
     ended = "converged" if converged else "not converged"
     print(f"exact model: coefficients off by {error:.1e} of their size at most, {ended}")
@@ -170,6 +173,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "gaussian")
     command.add_seeds(parser, 20)
     parser.add_argument("--samples", type=int, default=1000, help="of each motion, 10 ms apart")
+    command.add_store(parser)
     options = command.parse(parser, argv, seeds=2)
     command.require_least(parser, options, seeds=1, first=0, samples=200)
     return command.run(

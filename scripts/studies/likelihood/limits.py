@@ -29,6 +29,8 @@ from jaxcslc.report import write_csv
 from jaxcslc.training import half_rms
 from scripts.studies import command
 from scripts.studies.puma560.machines import MOVING, machines
+from scripts.studies.stored import store
+from scripts.studies.tables import stacked
 from scripts.studies.truth import true_coefficients
 
 
@@ -157,6 +159,7 @@ def study(options: argparse.Namespace) -> int:
     both = machines()
     seeds = command.seeds_of(options)
     rows: list[dict[str, Any]] = []
+    tables: dict[str, list[list[str]]] = {}
     for name, machine in both.items():
         residuals: dict[str, list[np.ndarray]] = {}
         for seed in command.progress(seeds, desc=name, unit="seed"):
@@ -164,20 +167,23 @@ def study(options: argparse.Namespace) -> int:
                 rows.append({"machine": name, "seed": seed, "model": model, "epsilon": value})
             for model, values in training_rows(machine, seed, options.samples).items():
                 residuals.setdefault(model, []).append(values)
-        print(_comparison_table(name, [row for row in rows if row["machine"] == name]), end="\n\n")
+        tables[name] = _comparison_table(name, [row for row in rows if row["machine"] == name])
+        print(text_table(tables[name][0], tables[name][1:]), end="\n\n")
         print(_training_table(name, residuals), end="\n\n")
+    stored = {"remaining": stacked("machine", tables)}
+    store(options, "limits", f"seeds {seeds[0]} to {seeds[-1]}", stored)
     options.output.mkdir(parents=True, exist_ok=True)
     write_csv(options.output / "seeds.csv", rows)
     print(f"wrote {options.output / 'seeds.csv'}")
     return 0
 
 
-def _comparison_table(machine: str, rows: Sequence[dict[str, Any]]) -> str:
+def _comparison_table(machine: str, rows: Sequence[dict[str, Any]]) -> list[list[str]]:
     lines: list[list[str]] = []
     for model in dict.fromkeys(row["model"] for row in rows):
         values = [row["epsilon"] for row in rows if row["model"] == model]
         lines.append([model, *(f"{f(values):.4f}" for f in (np.median, np.min, np.max))])
-    return text_table([f"{machine}: comparison", "ε [N m], median", "least", "greatest"], lines)
+    return [[f"{machine}: comparison", "ε [N m], median", "least", "greatest"], *lines]
 
 
 def _training_table(machine: str, residuals: dict[str, list[np.ndarray]]) -> str:
@@ -193,6 +199,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "limits")
     command.add_seeds(parser, 5)
     parser.add_argument("--samples", type=int, default=3300, help="of training, 2 ms apart")
+    command.add_store(parser)
     options = command.parse(parser, argv, seeds=1, samples=600)
     command.require_least(parser, options, seeds=1, first=0, samples=600)
     return command.run(parser, lambda: study(options), seconds=15.0 + 12.0 * options.seeds)

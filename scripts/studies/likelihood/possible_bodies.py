@@ -26,6 +26,8 @@ from jaxcslc._text_table import text_table
 from jaxcslc.report import write_csv
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
+from scripts.studies.tables import grouped
 
 
 jc.enable_x64()
@@ -122,8 +124,8 @@ def row_of(network: jc.CSLC, case: Case, seed: int) -> dict[str, Any]:
     }
 
 
-def table(rows: Sequence[dict[str, Any]]) -> str:
-    """One line a kind of recording and file; median, and greatest."""
+def table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """A line per kind of recording and file, the head first; median, and greatest."""
     lines: list[list[str]] = []
     for case, file in dict.fromkeys((row["case"], row["file"]) for row in rows):
         part = [row for row in rows if (row["case"], row["file"]) == (case, file)]
@@ -144,7 +146,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     header = ["recording", "file", "regression [N m]", "without bodies [N m]"]
     header += ["nearest bodies [N m]", "search [N m]", "moves [standard errors]"]
     header += ["nearer than without", "converged"]
-    return text_table(header, lines, left=header[:2])
+    return [header, *lines]
 
 
 def study(options: argparse.Namespace) -> int:
@@ -160,7 +162,10 @@ def study(options: argparse.Namespace) -> int:
             row = row_of(networks[file], CASES[case], seed)
             finished.add({"case": case, "file": file, "seed": seed, **row})
     rows = [finished[job] for job in jobs]
-    print(table(rows))
+    head, *lines = table(rows)
+    print(text_table(head, lines, left=head[:2]))
+    tables = {"errors": grouped([head, *lines])}
+    store(options, "possible_search", f"seeds {seeds[0]} to {seeds[-1]}", tables)
     for file, network in networks.items():
         if network.robot.links is not None:
             k, true = (
@@ -176,6 +181,7 @@ def study(options: argparse.Namespace) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "likelihood_bodies")
     command.add_seeds(parser, 20)
+    command.add_store(parser)
     options = command.parse(parser, argv, seeds=1)
     command.require_least(parser, options, seeds=1, first=0)
     return command.run(

@@ -21,7 +21,6 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc._text_table import text_table
 from jaxcslc.friction import fit_pre_sliding
 from jaxcslc.least_squares import Identification
 from scripts.studies import command
@@ -100,8 +99,8 @@ def _row(
     }
 
 
-def table(rows: Sequence[dict[str, Any]], length: float) -> str:
-    """Return the table of one length: torque errors, intervals, convergence."""
+def table(rows: Sequence[dict[str, Any]], length: float) -> list[list[str]]:
+    """Return the table of one length, the head first: torque errors, intervals, convergence."""
     lines: list[list[str]] = []
     of_length = [row for row in rows if row["length"] == length]
     for estimator in dict.fromkeys(row["estimator"] for row in of_length):
@@ -119,13 +118,14 @@ def table(rows: Sequence[dict[str, Any]], length: float) -> str:
         )
     header = [f"{1e3 * length:g} mrad", "torque error [N m], median", "greatest"]
     header += ["intervals with truth", "converged", "length used [mrad]", "s"]
-    return text_table(header, lines)
+    return [header, *lines]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "likelihood_pre_sliding")
     command.add_seeds(parser, 20)
     parser.add_argument("--samples", type=int, default=2000, help="of a recording, 5 ms apart")
+    command.add_store(parser)
     options = command.parse(parser, argv, seeds=2)
     command.require_least(parser, options, seeds=1, first=0, samples=400)
     return command.run(

@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 
 import jaxcslc as jc
-from jaxcslc._text_table import text_table
 from jaxcslc.selection import FrictionChoice
 from jaxcslc.uncertainty import uncertainty_interval
 from scripts.studies import command
@@ -114,8 +113,8 @@ def _row(
     }
 
 
-def table(rows: Sequence[dict[str, Any]], length: float) -> str:
-    """Return the table of one length: torque errors, intervals, lengths that were used."""
+def table(rows: Sequence[dict[str, Any]], length: float) -> list[list[str]]:
+    """Return the table of one length, the head first: torque errors, intervals, used lengths."""
     lines: list[list[str]] = []
     of_length = [row for row in rows if row["length"] == length]
     for name in dict.fromkeys(row["report"] for row in of_length):
@@ -134,13 +133,14 @@ def table(rows: Sequence[dict[str, Any]], length: float) -> str:
         )
     header = [f"{1e3 * length:g} mrad", "torque error [N m], median", "greatest"]
     header += ["intervals with truth", "with a length", "length used [mrad]", "s"]
-    return text_table(header, lines)
+    return [header, *lines]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "likelihood_pre_sliding_identify")
     command.add_seeds(parser, 8)
     parser.add_argument("--samples", type=int, default=4000, help="of a recording, 5 ms apart")
+    command.add_store(parser)
     options = command.parse(parser, argv, seeds=1)
     command.require_least(parser, options, seeds=1, first=0, samples=800)
     return command.run(

@@ -23,11 +23,13 @@ import numpy as np
 
 import jaxcslc as jc
 import sim
+from jaxcslc._text_table import text_table
 from jaxcslc.report import write_csv
 from jaxcslc.uncertainty import uncertainty_interval
 from scripts.studies import command
-from scripts.studies.likelihood.study import WITHIN, static_text
+from scripts.studies.likelihood.study import WITHIN, static_table
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 from scripts.studies.truth import true_coefficients
 
 
@@ -99,7 +101,9 @@ def study(options: argparse.Namespace) -> int:
             row = row_of(machine, options.samples, options.slow_samples, seed)
             finished.add({"seed": seed, **row})
     rows = [finished[(seed,)] for seed in seeds]
-    print(static_text(rows))
+    head, *lines = static_table(rows)
+    print(text_table(head, lines))
+    store(options, "slow_reversals", f"seeds {seeds[0]} to {seeds[-1]}", {"joints": [head, *lines]})
     for name in ("magnitudes inside", "slopes inside", "all inside"):
         share = 100 * np.mean([row[name] for row in rows])
         print(f"{name.removesuffix(' inside')}: {share:.1f} % of 95 % intervals cover the truth")
@@ -116,6 +120,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--samples", type=int, default=3300, help="of training, 2 ms apart")
     parser.add_argument("--slow-samples", type=int, default=6600, help="of slow reversals")
     parser.add_argument("--time-step", type=float, default=1e-4, help="of the simulator [s]")
+    command.add_store(parser)
     options = command.parse(parser, argv, seeds=1, samples=1000, slow_samples=1500, time_step=5e-4)
     command.require_least(parser, options, seeds=1, first=0, samples=300, slow_samples=300)
     if not options.time_step > 0.0:

@@ -35,6 +35,7 @@ from jaxcslc.report import write_csv
 from jaxcslc.uncertainty import uncertainty_interval
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 from scripts.studies.truth import epsilon, moving_patterns, true_coefficients
 
 
@@ -93,18 +94,25 @@ def row_of(machine: sim.Machine, samples: int, seed: int) -> dict[str, Any]:
     }
 
 
-def errors_text(rows: Sequence[dict[str, Any]]) -> str:
-    """ε of each way, over seeds."""
+WAYS = {
+    "regression": "regression, masks, averaged splines, 15 Hz filter",
+    "likelihood": "maximum likelihood",
+    "floor": "true coefficients without static friction",
+}
+
+
+def errors_table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """ε of each way, over seeds; the head first."""
     lines = []
-    for name in ("regression", "likelihood", "floor"):
+    for name, label in WAYS.items():
         values = np.array([row[name] for row in rows])
         lines.append(
-            [name, *(f"{x:.4f}" for x in (np.median(values), np.min(values), np.max(values)))]
+            [label, *(f"{x:.4f}" for x in (np.median(values), np.min(values), np.max(values)))]
         )
-    return text_table(["ε [N m]", "median", "least", "greatest"], lines)
+    return [["ε [N m]", "median", "least", "greatest"], *lines]
 
 
-def deviations_text(rows: Sequence[dict[str, Any]]) -> str:
+def deviations_table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
     """Errors over the bound and over standard errors, group by group; no bound of slopes."""
     lines = []
     for kind in rows[0]["reported"]:
@@ -114,11 +122,10 @@ def deviations_text(rows: Sequence[dict[str, Any]]) -> str:
             line.append(f"{np.sqrt(np.mean(values**2)):.2f}")
         inside = np.mean([row["inside"][kind] for row in rows])
         lines.append([*line, f"{100 * inside:.1f} %"])
-    header = ["coefficients", "RMS error over bound", "over reported", "coverage of 95 % intervals"]
-    return text_table(header, lines)
+    return [["coefficients", "error over bound", "error over reported", "coverage"], *lines]
 
 
-def static_text(rows: Sequence[dict[str, Any]]) -> str:
+def static_table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
     """Static friction over the true one, joint by joint: median and standard error."""
     lines = []
     for joint in range(len(rows[0]["static"])):
@@ -129,8 +136,8 @@ def static_text(rows: Sequence[dict[str, Any]]) -> str:
             off = np.median(np.abs(values - 1.0))
             line += [f"{np.median(values):.3f}", f"{100 * off:.1f} %", f"{100 * bound:.1f} %"]
         lines.append(line)
-    header = ["joint", "magnitude", "median error", "reported", "slope", "median error", "reported"]
-    return text_table(header, lines)
+    errors = ["error", "standard error"]
+    return [["joint", "magnitude", *errors, "slope", *errors], *lines]
 
 
 def study(options: argparse.Namespace) -> int:
@@ -151,8 +158,14 @@ def study(options: argparse.Namespace) -> int:
             sys.stderr,
         )
     rows = [finished[(seed,)] for seed in seeds]
-    for text in (errors_text(rows), deviations_text(rows), static_text(rows)):
-        print(text, end="\n\n")
+    tables = {
+        "torque": errors_table(rows),
+        "bound": deviations_table(rows),
+        "static": static_table(rows),
+    }
+    for head, *lines in tables.values():
+        print(text_table(head, lines), end="\n\n")
+    store(options, "likelihood", f"seeds {seeds[0]} to {seeds[-1]}", tables)
     nested = ("bound", "reported", "inside", "static", "static error", "slope", "slope error")
     write_csv(
         options.output / "seeds.csv",
@@ -167,6 +180,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     command.add_seeds(parser, 20)
     parser.add_argument("--samples", type=int, default=3300, help="of training, 2 ms apart")
     parser.add_argument("--time-step", type=float, default=1e-4, help="of the simulator [s]")
+    command.add_store(parser)
     options = command.parse(parser, argv, seeds=1, samples=1000, time_step=5e-4)
     command.require_least(parser, options, seeds=1, first=0, samples=300)
     if not options.time_step > 0.0:

@@ -43,6 +43,8 @@ from jaxcslc.uncertainty import SystematicError, systematic_error, uncertainty_i
 from scripts.studies import command
 from scripts.studies.puma560.machines import MOVING, machines
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
+from scripts.studies.tables import stacked
 from scripts.studies.truth import true_coefficients
 
 
@@ -183,7 +185,7 @@ def means_of_directions(
     return np.stack([value - reach, value + reach], axis=1)
 
 
-def table(rows: Sequence[dict[str, Any]], machine: str) -> str:
+def table(rows: Sequence[dict[str, Any]], machine: str) -> list[list[str]]:
     """Return the table of one machine: ε over seeds, beside regression's of the same seeds, and
     intervals.
     """
@@ -218,7 +220,7 @@ def table(rows: Sequence[dict[str, Any]], machine: str) -> str:
         "converged",
         "s",
     ]
-    return text_table(header, lines)
+    return [header, *lines]
 
 
 def study(options: argparse.Namespace) -> int:
@@ -238,8 +240,15 @@ def study(options: argparse.Namespace) -> int:
                     sys.stderr,
                 )
     rows = [row for row in finished.all() if row["seed"] in seeds]
-    for name in both:
-        print(table(rows, name), end="\n\n")
+    tables = {name: table(rows, name) for name in both}
+    for head, *lines in tables.values():
+        print(text_table(head, lines), end="\n\n")
+    store(
+        options,
+        "transmission",
+        f"seeds {seeds[0]} to {seeds[-1]}",
+        {"machines": stacked("machine", tables)},
+    )
     write_csv(options.output / "seeds.csv", rows)
     print(f"wrote {options.output / 'seeds.csv'}")
     return 0
@@ -254,6 +263,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         action="store_true",
         help="also spacing and friction that are selected: three times as long",
     )
+    command.add_store(parser)
     options = command.parse(parser, argv, seeds=1, samples=1000)
     command.require_least(parser, options, seeds=1, first=0, samples=600)
     return command.run(

@@ -1,6 +1,7 @@
 """Tables of the payload study."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,9 @@ _HAND = {
 }
 
 
+PAGE_CASES = ("encoders", "friction", "everything")
+
+
 class Tables:
     """The rows of all seeds as tables."""
 
@@ -31,6 +35,50 @@ class Tables:
         """One number of each seed; NaN for what a trial run leaves out."""
         selected = [row for row in self.rows if (row["case"], row["mass"]) == (case, mass)]
         return [float(row.get(name, np.nan)) for row in selected]
+
+    def page_table(self) -> list[list[str]]:
+        """The page's table, the head first: medians, and the worst in brackets, of each mass."""
+        cases = [case for case in PAGE_CASES if case in {case for case, _ in self.pairs}]
+        masses = sorted({mass for _, mass in self.pairs if mass})
+
+        def cell(case: str, text: Callable[[str, float], str]) -> str:
+            return ", ".join(text(case, mass) for mass in masses)
+
+        def error(name: str, case: str, mass: float) -> str:
+            off = np.abs(self.of(case, mass, name))
+            off = off[np.isfinite(off)]
+            return f"{np.median(off):.2g} ({np.max(off):.2g})" if len(off) else "-"
+
+        def moment(name: str, case: str, mass: float) -> str:
+            times = np.array(self.of(case, mass, name))
+            found = times[np.isfinite(times)]
+            some = f" ({len(found)} of {len(times)})" if len(found) < len(times) else ""
+            return (f"{np.median(found):.2f}" if len(found) else "-") + some
+
+        def benefit(case: str, mass: float) -> str:
+            without, learnt = (
+                np.array(self.of(case, mass, f"place [mm], {method}"))
+                for method in (NOT_LEARNT, LEARNT)
+            )
+            return f"{np.median(without / learnt):.2g}"
+
+        lines: dict[str, Callable[[str, float], str]] = {
+            f"{name} after {t:g} s{' of motion' * (t == 1)} [{unit}]": partial(
+                error, f"{name} error [{unit}], {t:g} s"
+            )
+            for name, unit in (("mass", "%"), ("centre", "mm"))
+            for t in (1.0, 2.0)
+        }
+        lines |= {
+            f"{name}, detected after [s]": partial(moment, name)
+            for name in ("picked up", "put down")
+        }
+        lines["placing error, uncompensated over compensated"] = benefit
+        head = ["", *(CASES[case].description for case in cases)]
+        return [
+            head,
+            *([name, *(cell(case, text) for case in cases)] for name, text in lines.items()),
+        ]
 
     def estimates(self) -> str:
         """Errors of the estimates, and their intervals."""

@@ -50,6 +50,7 @@ from scripts.studies.payload.pictures import (
 from scripts.studies.payload.results import Tables
 from scripts.studies.payload.task import CASES, CENTRE, Task
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 
 
 jc.enable_x64()
@@ -176,6 +177,7 @@ def study(options: argparse.Namespace) -> int:
     )
     print(text)
     written[1].write_text(text + "\n", encoding="utf-8")
+    store(options, "payload", f"{options.seeds} machines", {"disturbances": tables.page_table()})
     for case in cases:
         written += draw(case, masses, finished, options.output)
     written += filmed(options, cases)
@@ -199,6 +201,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--film", action=argparse.BooleanOptionalAction, default=True,
                         help="of one arm with the heaviest payload, if OpenGL works")  # fmt: skip
     quick = {"seeds": 1, "masses": [1.0], "cases": list(CASES)[:1], "training": 1000, "film": False}
+    command.add_store(parser)
     options = command.parse(parser, argv, **quick)
     command.require_least(parser, options, seeds=1)
     if not 1.0 <= options.frequency <= 60.0:

@@ -47,8 +47,9 @@ from scripts.studies.peral_classes.results import (
     rule_row,
 )
 from scripts.studies.peral_classes.spectra import spectrum_row
-from scripts.studies.peral_classes.tables import Results, report, tuning_table
+from scripts.studies.peral_classes.tables import Results, page_tables, report, tuning_table
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 
 
 jc.enable_x64()
@@ -120,6 +121,8 @@ def study(options: argparse.Namespace) -> int:
         return 0
     results = Results(rows)
     print(report(results, options.seeds))
+    if results.compared:
+        store(options, "peral_classes", f"{options.seeds} seeds", page_tables(results))
     with all_or_nothing(options.output) as folder:
         for name, lines in (
             ("methods.csv", results.methods()),
@@ -147,6 +150,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--every", type=int, default=default.every, help="of the indicator")
     parser.add_argument("--margin", type=float, default=default.margin, help="of the indicator")
     parser.add_argument("--tune", action="store_true", help="compare settings of the indicator")
+    command.add_store(parser)
     options = command.parse(
         parser, argv, classes=["linear"], noise=[0.05], seeds=2, epochs=60,
         tuning=30,

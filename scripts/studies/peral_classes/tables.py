@@ -192,6 +192,54 @@ def indicator_table(results: Results) -> str:
     return text_table(header, lines)
 
 
+_PAGE_NOISE = 0.05
+
+
+def page_tables(results: Results) -> dict[str, list[list[str]]]:
+    """Tables of the page by their names, the head first, at a noise of 5 %."""
+    cases = [case for case in results.trained if case[1] == _PAGE_NOISE]
+    epochs = {case: results.epochs(case, MIDDLE) for case in cases}
+    seconds = {case: results.seconds(case, MIDDLE) for case in cases}
+    tables: dict[str, list[list[str]]] = {}
+    for name, values, digits in (("epochs", epochs, 3), ("milliseconds", seconds, 2)):
+        methods = list(dict.fromkeys(method for row in values.values() for method in row))
+        size = 1e3 if name == "milliseconds" else 1.0
+        tables[name] = [["", *methods]]
+        for case, row in values.items():
+            cells = [_arrived(size * row[x], digits) if x in row else "" for x in methods]
+            tables[name].append([starred(case[0]), *cells])
+    tables["epochs"][0].append("best switch to PERAL after")
+    for case, line in zip(cases, tables["epochs"][1:], strict=True):
+        compared = case in results.compared
+        line.append(number(median_of(results.switch(case, MIDDLE))) if compared else "")
+    tables["hindsight"] = [["excess error", *(f"{goal:.0%}" for goal in GOALS)]]
+    ratios = ("indicator over best, median", "backpropagation over best, median")
+    rows = [row for row in results.indicator() if row["noise"] == _PAGE_NOISE]
+    for name in dict.fromkeys(row["class"] for row in rows):
+        of_class = (row for row in rows if row["class"] == name)
+        cells = ["{} ({})".format(*(number(row[x]) for x in ratios)) for row in of_class]
+        tables["hindsight"].append([starred(name), *cells])
+    for tuned, which in ((False, "not tuned on"), (True, "tuned on")):
+        cells = [
+            "{} ({})".format(
+                *(
+                    number(over_classes(results, tuned=tuned, goal=i, what=what))
+                    for what in (INDICATOR, BACKPROPAGATION)
+                )
+            )
+            for i in range(len(GOALS))
+        ]
+        tables["hindsight"].append([f"median of classes {which}, all noises", *cells])
+    return tables
+
+
+def _arrived(values: np.ndarray, digits: int) -> str:
+    """The median, with the number of seeds that arrive if it is not all."""
+    arrive = int(np.isfinite(values).sum())
+    text = number(median_of(values), digits)
+    return text if arrive == len(values) else f"{text} ({arrive})"
+
+
 def over_classes(results: Results, *, tuned: bool, goal: int, what: str) -> float:
     """Median over classes of the median over noises of a ratio to the best switch."""
     by_class: dict[str, list[float]] = {}

@@ -7,7 +7,8 @@ reads the URDF and predicts the torques of a new motion, faster than the one tha
 Its errors stand beside those of the free fit, whose coefficients no body need have.
 """
 
-from collections.abc import Iterator, Sequence
+import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -24,6 +25,7 @@ from scripts.studies import command
 from scripts.studies.checks.arms import GEARED, urdf
 from scripts.studies.checks.recordings import Conditions, record
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 
 
 jc.enable_x64()
@@ -35,9 +37,16 @@ MOTIONS = {
     "noisy": Conditions(duration=10.0, rate=250.0, speed=0.3, noise=0.1),
 }
 """Recordings that the arm is identified from."""
+_NAMES = {
+    "wide": "20 s, half of the top speed",
+    "slow": "20 s, slow: 15 % of it",
+    "short": "5 s, 30 % of it",
+    "noisy": "10 s, 30 % of it, torque noise of 10 %",
+}
 NEW = Conditions(duration=15.0, rate=250.0, speed=0.6, noise=0.0)
 """The motion that torques are predicted of."""
 PREDICTIONS = ("free", "possible", "urdf_and_motors", "urdf_alone")
+_HEADS = ("consistent bodies", "URDF and motor inertias", "URDF alone (`--no-motors`)")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -45,6 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = command.new_parser(__doc__, "possible_bodies")
     parser.add_argument("--motions", nargs="+", default=list(MOTIONS), help="some of them")
     parser.add_argument("--seeds", type=int, default=10, help="of each motion")
+    command.add_store(parser)
     options = command.parse(parser, arguments, motions=["wide"], seeds=1)
     command.require_least(parser, options, seeds=1)
     command.require_some_of(parser, "motion", options.motions, tuple(MOTIONS))
@@ -54,15 +64,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     missing = [job for job in jobs if job not in rows]
     return command.run(
         parser,
-        lambda: _study(rows, jobs, missing, folder),
+        lambda: _study(rows, jobs, missing, options),
         rows.path,
         seconds=2.0 * len(missing) + 10.0,
     )
 
 
 def _study(
-    rows: Rows, jobs: list[tuple[str, int]], missing: list[tuple[str, int]], folder: Path
+    rows: Rows,
+    jobs: list[tuple[str, int]],
+    missing: list[tuple[str, int]],
+    options: argparse.Namespace,
 ) -> int:
+    folder: Path = options.output
     with TemporaryDirectory() as scratch:
         path = Path(scratch) / "geared.urdf"
         path.write_text(urdf("geared", GEARED), encoding="utf-8")
@@ -70,8 +84,15 @@ def _study(
         for motion, seed in command.progress(missing, desc="recordings"):
             rows.add({"motion": motion, "seed": seed, **judged(network, MOTIONS[motion], seed)})
     results = [rows[job] for job in jobs]
-    text = "\n".join([*_tables(results)])
+    head, *lines = _table(results)
+    text = (
+        "RMS torque error on a new motion over that of the unconstrained fit (geometric mean; each"
+        " joint in parts of its RMS torque); used: bodies that held-out errors within the recording"
+        " prefer\n" + text_table(head, lines)
+    )
     print(text)
+    sample = f"{options.seeds} recordings of each row"
+    store(options, "possible_bodies", sample, {"files": [head, *lines]})
     with all_or_nothing(folder) as written:
         (written / "tables.txt").write_text(text + "\n", encoding="utf-8")
         write_csv(written / "errors.csv", [_flat(row) for row in results])
@@ -141,12 +162,11 @@ def torque_of_urdf(path: Path, patterns: jc.Patterns) -> Float[np.ndarray, "samp
     return rigid + np.asarray(robot.viscous) * qd + np.asarray(robot.dry) * np.sign(qd)
 
 
-def _tables(results: list[dict[str, Any]]) -> Iterator[str]:
-    """Return the tables of each motion: the error of all joints together, over that of the free
-    fit.
+def _table(results: list[dict[str, Any]]) -> list[list[str]]:
+    """Return a line for each motion, the head first: the error of all joints together, over that
+    of the unconstrained fit.
     """
-    header = ["motion", "recordings", "free fit, % of torque", *PREDICTIONS[1:], "largest", "used"]
-    rows: list[list[str]] = []
+    rows = [["recording", "unconstrained fit, % of torque", *_HEADS, "worst file", "used"]]
     for motion in dict.fromkeys(row["motion"] for row in results):
         motion_rows = [row for row in results if row["motion"] == motion]
         ratios = {name: [_ratio(row, name) for row in motion_rows] for name in PREDICTIONS[1:]}
@@ -155,20 +175,14 @@ def _tables(results: list[dict[str, Any]]) -> Iterator[str]:
         better = sum(row["change"] + 1.895 * row["change_error"] < 0 for row in motion_rows)
         rows.append(
             [
-                motion,
-                str(len(motion_rows)),
+                _NAMES[motion],
                 f"{np.mean(percent):.2f}",
                 *cells,
                 f"{max(ratios['urdf_and_motors']):.3f}",
                 f"{better} of {len(motion_rows)}",
             ]
         )
-    yield (
-        "RMS torque error on a new motion over that of the free fit (geometric mean; each joint in"
-        " parts of its RMS torque); largest: of urdf_and_motors; used: bodies that held-out errors"
-        " within the recording prefer"
-    )
-    yield text_table(header, rows)
+    return rows
 
 
 def _together(row: dict[str, Any], name: str) -> float:

@@ -10,6 +10,8 @@ import numpy as np
 from jaxcslc._text_table import text_table
 from scripts.studies import command
 from scripts.studies.real_robots.arms import DATA, READERS, Arm, read
+from scripts.studies.stored import store
+from scripts.studies.tables import grouped
 
 
 def new_parser(description: str | None, output: str) -> argparse.ArgumentParser:
@@ -24,6 +26,7 @@ def parse(
     parser: argparse.ArgumentParser, argv: Sequence[str] | None, **quick: Any
 ) -> argparse.Namespace:
     """The options, `--quick` among them (`command.parse`); arms that there are."""
+    command.add_store(parser)
     options = command.parse(parser, argv, **quick)
     command.require_some_of(parser, "arm", options.arms, tuple(READERS))
     return options
@@ -35,8 +38,8 @@ def print_table(
     header: Sequence[str],
     *,
     fitted: float = 1.0,
-) -> int:
-    """Prints one table of all arms.
+) -> list[list[str]]:
+    """Prints one table of all arms, and returns it, the head first.
 
     **Arguments**
 
@@ -44,8 +47,6 @@ def print_table(
     - `rows_of`: of an arm's name and recordings.
     - `header`: of the first columns; those behind them are joints, counted from 1.
     - `fitted`: the part of each training recording that is fitted, from its beginning.
-
-    **Returns** 0, the exit status.
     """
     rows: list[list[str]] = []
     for name in command.progress(options.arms, desc="arms", unit="arm"):
@@ -56,8 +57,19 @@ def print_table(
         rows += rows_of(name, arm)
     width = max(map(len, rows))
     rows = [row + [""] * (width - len(row)) for row in rows]
-    joints = (str(joint + 1) for joint in range(width - len(header)))
-    print(text_table([*header, *joints], rows, left=header[:2]))
+    head = [*header, *(str(joint + 1) for joint in range(width - len(header)))]
+    print(text_table(head, rows, left=header[:2]))
+    return [head, *rows]
+
+
+def store_table(
+    options: argparse.Namespace,
+    run: str,
+    table: Sequence[Sequence[str]],
+    name: str = "changes",
+) -> int:
+    """Keeps a table of `print_table` among those of a run. **Returns** 0, the exit status."""
+    store(options, run, "one recording of each motion", {name: grouped(table)})
     return 0
 
 
@@ -84,6 +96,8 @@ def print_held_out(
     fitted = 0.4 if options.quick else 1.0
     return command.run(
         parser,
-        lambda: print_table(options, rows_of, ["arm", "motion"], fitted=fitted),
+        lambda: store_table(
+            options, output, print_table(options, rows_of, ["arm", "motion"], fitted=fitted)
+        ),
         seconds=30.0 * len(options.arms),
     )

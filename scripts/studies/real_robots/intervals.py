@@ -30,12 +30,22 @@ from scripts.studies import command
 from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import Arm
 from scripts.studies.real_robots.methods import without_static
+from scripts.studies.stored import store
+from scripts.studies.tables import grouped
 
 
 jc.enable_x64()
 
-KINDS = ("independent", "correlated", "correlated and systematic")
-OF_OTHERS = ("common fit of others, systematic", "common fit of others, drift")
+# What standard errors allow for, and its name on the page.
+KINDS = {
+    "independent": "independent residuals",
+    "correlated": "correlated residuals, the default",
+    "correlated and systematic": "these and systematic errors",
+}
+OF_OTHERS = {
+    "common fit of others, systematic": "common fit of the others, systematic errors too",
+    "common fit of others, drift": "and drift",
+}
 _WITHIN = 1.96
 
 
@@ -84,7 +94,9 @@ def deviations_of(arm: Arm) -> dict[str, Float[np.ndarray, " differences"]]:
         both = np.asarray(several.fit.determined) & np.asarray(fit.determined)
         difference = np.abs(np.asarray(several.fit.k - fit.k))
         for kind, allowed in zip(OF_OTHERS, (known, whole), strict=True):
-            error = np.hypot(standard_uncertainty(several.fit, allowed), own[KINDS[-1]])
+            error = np.hypot(
+                standard_uncertainty(several.fit, allowed), own["correlated and systematic"]
+            )
             deviations[kind].append((difference / error)[both])
     return {kind: np.concatenate(values) for kind, values in deviations.items()}
 
@@ -100,13 +112,33 @@ def lines_of(name: str, arm: Arm) -> list[list[str]]:
     return rows
 
 
+def page_tables(table: Sequence[Sequence[str]]) -> dict[str, list[list[str]]]:
+    """The tables of the pages: pairs of fits, and fits of all other recordings."""
+    head, *rows = table
+    pairs = [[arm, KINDS[kind], *cells] for arm, kind, *cells in rows if kind in KINDS]
+    within = {(arm, kind): row[-1] for arm, kind, *row in rows}
+    drift = [["arm", "pairs of fits, standard errors", *OF_OTHERS.values()]]
+    for arm in dict.fromkeys(row[0] for row in rows):
+        kinds = ("correlated", *OF_OTHERS)
+        drift.append([arm, *(within[arm, kind] for kind in kinds)])
+    return {"pairs": grouped([list(head), *pairs]), "drift": drift}
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     parser = by_arm.new_parser(__doc__, "intervals")
     options = by_arm.parse(parser, argv, arms=["KUKA KR300"])
-    header = ["arm", "standard errors for", "median", "root mean square", f"within {_WITHIN}"]
+    header = ["arm", "standard errors for", "median of difference over error"]
+    header += ["root mean square", f"within {_WITHIN}"]
+
+    def study() -> int:
+        table = by_arm.print_table(options, lines_of, header)
+        sample = "three recordings of each arm, or parts"
+        store(options, "intervals", sample, page_tables(table))
+        return 0
+
     return command.run(
         parser,
-        lambda: by_arm.print_table(options, lines_of, header),
+        study,
         seconds=30.0 * len(options.arms),
     )
 

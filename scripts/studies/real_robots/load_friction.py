@@ -95,7 +95,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     return command.run(
         parser,
-        lambda: by_arm.print_table(options, rows_of, ["arm", "motion"], fitted=fitted),
+        lambda: by_arm.store_table(
+            options,
+            "load_friction",
+            by_arm.print_table(options, rows_of, ["arm", "motion"], fitted=fitted),
+        ),
         seconds=60.0 * len(options.arms),
     )
 

@@ -38,11 +38,17 @@ def lines_of(name: str, arm: Arm) -> list[list[str]]:
         patterns = raw.patterns(recording)
         torque, qd = np.asarray(patterns.torque), np.asarray(patterns.qd)
         still = np.asarray(at_rest(qd))
+        if not still.any():
+            continue
+        # Patterns have a velocity of zero at rest; smoothed positions have one of noise.
+        trim = raw.preparation.trimmed(recording)
+        _, smoothed, _ = raw.preparation.smoothing.smooth(recording.time, recording.position)
+        noisy = smoothed[trim : recording.samples - trim]
         before, after = (_SLOW * np.asarray(x) for x in directions_beside(qd, still))
         errors = {
             name: _errors(report, dataclasses.replace(patterns, qd=velocity), torque)
             for name, velocity in (
-                ("sign of velocity", qd),
+                ("by the sign of velocity", np.where(still, noisy, qd)),
                 ("none", np.where(still, 0.0, qd)),
                 ("of the motion before", np.where(still, before, qd)),
                 ("of the motion after", np.where(still, after, qd)),
@@ -75,9 +81,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = by_arm.new_parser(__doc__, "rests")
     options = by_arm.parse(parser, argv, arms=["KUKA KR300"])
     header = ["arm", "motion", "friction at rest"]
+    fitted = 0.4 if options.quick else 1.0
+
     return command.run(
         parser,
-        lambda: by_arm.print_table(options, lines_of, header, fitted=0.4 if options.quick else 1.0),
+        lambda: by_arm.store_table(
+            options,
+            "rests",
+            by_arm.print_table(options, lines_of, header, fitted=fitted),
+            name="errors",
+        ),
         seconds=10.0 * len(options.arms),
     )
 

@@ -311,7 +311,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     return command.run(
         parser,
-        lambda: by_arm.print_table(options, rows_of, ["arm", "motion", "parameters", "CPU s"]),
+        lambda: by_arm.store_table(
+            options,
+            "simulation_fit",
+            by_arm.print_table(options, rows_of, ["arm", "motion", "parameters", "processor [s]"]),
+            name="errors",
+        ),
         seconds=5.0 * options.steps * len(options.arms),
     )
 

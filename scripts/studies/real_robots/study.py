@@ -185,7 +185,6 @@ def study(options: argparse.Namespace) -> int:
 def main(argv: Sequence[str] | None = None) -> int:
     parser = by_arm.new_parser(__doc__, "real_robots")
     parser.add_argument("--methods", nargs="+", default=list(FAMILIES), help=", ".join(FAMILIES))
-    command.add_store(parser)
     options = by_arm.parse(parser, argv, arms=["KUKA KR300"], methods=["usual"])
     command.require_some_of(parser, "family of methods", options.methods, tuple(FAMILIES))
     return command.run(

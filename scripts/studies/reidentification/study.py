@@ -31,6 +31,7 @@ from scripts.studies import command
 from scripts.studies.figures import save_picture
 from scripts.studies.reidentification.pictures import reidentification_picture
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 from scripts.studies.tables import median_text
 from scripts.studies.truth import moving_patterns, true_coefficients
 
@@ -121,9 +122,11 @@ class Study:
         return rows
 
 
-def summary(rows: Sequence[dict[str, Any]], lengths: Sequence[float]) -> str:
-    """Medians and 10 to 90 % ranges, one line for each length."""
-    cells: list[list[str]] = []
+def summary(rows: Sequence[dict[str, Any]], lengths: Sequence[float]) -> list[list[str]]:
+    """Medians and 10 to 90 % ranges, one line for each length, the head first."""
+    cells = [
+        ["ε [N m] after", *METHODS, "true coefficients", "error of friction alone [%]"],
+    ]
     for length in lengths:
         of_length = [row for row in rows if row["length"] == length]
         before, alone, whole = (
@@ -137,8 +140,7 @@ def summary(rows: Sequence[dict[str, Any]], lengths: Sequence[float]) -> str:
                 median_text([100 * row["friction_error"] for row in alone]),
             ]
         )
-    header = ["ε [N m] after", *METHODS, "true coefficients", "error of friction alone [%]"]
-    return text_table(header, cells)
+    return cells
 
 
 def draw(rows: Sequence[dict[str, Any]], lengths: Sequence[float], path: Path) -> None:
@@ -176,7 +178,9 @@ def study(options: argparse.Namespace) -> int:
         if (seed,) not in finished:
             finished.add({"seed": seed, "rows": of_machine.rows(seed)})
     rows = [row for seed in range(options.seeds) for row in finished[(seed,)]["rows"]]
-    print(f"{options.seeds} seeds: median (10 to 90 %)\n{summary(rows, lengths)}")
+    head, *lines = summary(rows, lengths)
+    print(f"{options.seeds} seeds: median (10 to 90 %)\n{text_table(head, lines)}")
+    store(options, "reidentification", f"{options.seeds} seeds", {"durations": [head, *lines]})
     within = [row["within_2_errors"] for row in rows if row["method"] == FRICTION]
     print(
         f"friction alone: {np.mean(within):.0%} of its coefficients within two standard errors of"
@@ -196,6 +200,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--fall", type=float, nargs=2, default=(0.2, 0.5), metavar=("LOW", "HIGH"),
                         help="of friction, as parts of it")  # fmt: skip
     parser.add_argument("--samples", type=int, default=3300, help="of training, 2 ms apart")
+    command.add_store(parser)
     options = command.parse(parser, argv, seeds=1, lengths=[0.5, 2.0], samples=1500)
     command.require_least(parser, options, seeds=1)
     if min(options.lengths) < 0.2:

@@ -29,6 +29,7 @@ from jaxcslc.report import all_or_nothing, write_csv
 from jaxcslc.systems import ConstantSearch, SystemRecording, search_constants, system_patterns
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 from scripts.studies.systems.example import Example
 from scripts.studies.systems.examples.motor import FREE_PERIOD, STRIBECK
 from scripts.studies.systems.examples.tanks import FREE_EXPONENT
@@ -133,8 +134,12 @@ def study(options: argparse.Namespace) -> int:
     by_example = [
         [rows[name, seed] for seed in range(options.searches)] for name in options.examples
     ]
-    header = ["system", "first search (truth)", "starts", "searches", "other minima"]
-    print(text_table(header, [summary(group) for group in by_example], left=tuple(header[:2])))
+    header = ["searched", "first search (truth)", "starts", "searches", "other minima"]
+    lines = [summary(group) for group in by_example]
+    print(text_table(header, lines, left=tuple(header[:2])))
+    store(
+        options, "systems_search", f"{options.searches} recordings", {"constants": [header, *lines]}
+    )
     with all_or_nothing(options.output) as folder:
         write_csv(
             folder / "minima.csv",
@@ -161,6 +166,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--starts-of-search", type=int, default=16, help="of the other searches")
     parser.add_argument("--candidates", type=int, default=512, help="points that are evaluated")
     parser.add_argument("--examples", nargs="+", default=list(EXAMPLES), metavar="NAME")
+    command.add_store(parser)
     options = command.parse(parser, argv, searches=1, motions=1, starts=4, candidates=64)
     command.require_least(
         parser, options, searches=1, motions=1, starts=1, starts_of_search=1, candidates=1

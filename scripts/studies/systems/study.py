@@ -47,6 +47,7 @@ from jaxcslc.systems import (
 )
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 from scripts.studies.systems.example import Example
 from scripts.studies.systems.examples.cart_pole import CART_POLE
 from scripts.studies.systems.examples.lorenz import LORENZ
@@ -166,8 +167,19 @@ def table(rows: Sequence[dict[str, Any]], way: str, name: str) -> np.ndarray:
     return np.array([row[way][name] for row in rows])
 
 
-def summary(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """The line of one example."""
+COVERAGE = (
+    *("system", "recordings", "within 2 errors", "least squares", "in interval"),
+    *("least coefficient", "errors / standard errors", "standard error / spread", "bias"),
+    *("least squares' bias", "square error", "explained"),
+)
+SIMULATION = (
+    *("system", "identified", "true constants", "follows for"),
+    "equation error, validation / training",
+)
+
+
+def coverage(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """The line of `COVERAGE` of one example."""
     example = EXAMPLES[rows[0]["example"]]
     names, truth = example.system.network.names, example.coefficients
     k, z, inside, errors = (
@@ -177,30 +189,34 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[str]:
     within = np.abs(z) <= 2.0
     least = int(np.argmin(np.mean(within, axis=0)))
     squares = np.mean((k - truth) ** 2, axis=0) / np.mean((plain_k - truth) ** 2, axis=0)
-    simulated = [row for row in rows if "duration" in row]
-    middle = lambda name: float(np.median([row[name] for row in simulated]))
+    share = np.mean(within, axis=1)
+    deviation = np.std(share, ddof=1) / np.sqrt(len(share)) if len(share) > 1 else np.nan
     return [
-        example.name,
-        f"{len(rows)} x {z.shape[1]}",
-        f"{100 * np.mean(within):.1f} %",
+        f"{example.name}, {z.shape[1]} coefficients",
+        str(len(rows)),
+        f"{100 * np.mean(within):.1f} ± {100 * deviation:.1f} %",
         f"{100 * np.mean(np.abs(plain_z) <= 2.0):.1f} %",
         f"{100 * np.mean(inside):.1f} %",
+        f"{100 * np.mean(within[:, least]):.1f} % ({names[least]})",
         f"{np.sqrt(np.mean(z**2)):.2f}",
         f"{np.median(np.median(errors, axis=0) / spread(k)):.2f}",
-        f"{100 * np.mean(within[:, least]):.1f} % ({names[least]})",
-        f"{largest_mean(z):.2f} / {largest_mean(plain_z):.2f}",
+        f"{largest_mean(z):.2f}",
+        f"{largest_mean(plain_z):.2f}",
         f"{np.mean(squares):.2f} ({np.max(squares):.2f})",
         f"{100 * np.mean([row['explained'] for row in rows]):.0f} %",
-        *(
-            [
-                f"{middle('equation_ratio'):.2f}",
-                f"{100 * middle('identified_error'):.3g} / {100 * middle('true_error'):.3g} %",
-                f"{middle('identified_horizon'):.3g} / {middle('true_horizon'):.3g}"
-                f" of {middle('duration'):.3g}",
-            ]
-            if simulated
-            else ["-", "-", "-"]
-        ),
+    ]
+
+
+def simulation(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """The line of `SIMULATION` of one example: medians over the recordings that were simulated."""
+    middle = lambda name: float(np.median([row[name] for row in rows if "duration" in row]))
+    return [
+        EXAMPLES[rows[0]["example"]].name,
+        f"{100 * middle('identified_error'):.2g} %",
+        f"{100 * middle('true_error'):.2g} %",
+        f"{middle('identified_horizon'):.3g} of {middle('duration'):.3g} s (true:"
+        f" {middle('true_horizon'):.3g})",
+        f"{middle('equation_ratio'):.2f}",
     ]
 
 
@@ -251,14 +267,15 @@ def study(options: argparse.Namespace) -> int:
     rows = Rows(path, ("example", "seed"), made_of({"motions": options.motions}, CODE))
     compute(options, rows)
     by_example = [[rows[name, seed] for seed in seeds_of(options)] for name in options.examples]
-    header = [
-        *("system", "recordings x coefficients", "within 2 errors", "least squares"),
-        *("in interval", "errors / standard errors", "standard error / spread"),
-        *("least coefficient", "bias, corrected / least squares"),
-        *("square error", "explained", "equation error, validation / training"),
-        *("simulation error, identified / true", "follows for [s], identified / true"),
-    ]
-    print(text_table(header, [summary(group) for group in by_example], left=("system",)))
+    lines = [coverage(group) for group in by_example]
+    print(text_table(COVERAGE, lines, left=("system",)))
+    sample = f"{options.recordings} recordings of each, seeds from {options.first} on"
+    store(options, "systems", sample, {"coverage": [COVERAGE, *lines]})
+    if options.simulations:
+        lines = [simulation(group) for group in by_example]
+        print("\n" + text_table(SIMULATION, lines, left=("system",)))
+        sample = f"{options.simulations} recordings of each"
+        store(options, "systems_simulated", sample, {"variables": [SIMULATION, *lines]})
     with all_or_nothing(options.output) as folder:
         write_csv(
             folder / "coefficients.csv",
@@ -276,6 +293,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--first", type=int, default=0, help="seed of the first recording")
     parser.add_argument("--examples", nargs="+", default=list(EXAMPLES), metavar="NAME")
     quick = {"examples": ["cart-pole", "vehicle", "tanks", "lorenz"], "recordings": 2}
+    command.add_store(parser)
     options = command.parse(parser, argv, motions=2, simulations=1, **quick)
     command.require_least(parser, options, recordings=1, motions=1, simulations=0, first=0)
     command.require_some_of(parser, "example", options.examples, tuple(EXAMPLES))

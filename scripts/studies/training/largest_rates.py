@@ -53,7 +53,8 @@ from jaxcslc.training import (
 from scripts.studies import command
 from scripts.studies.figures import COLOURS, STYLES, new_figure, save_picture
 from scripts.studies.rows import Rows, made_of
-from scripts.studies.tables import number_text
+from scripts.studies.stored import store
+from scripts.studies.tables import grouped, number_text
 from scripts.studies.training.peral_comparison import (
     BACKPROPAGATION_RATE,
     RULES,
@@ -269,15 +270,15 @@ def medians(
     }
 
 
-def table(rows: Sequence[dict[str, Any]], checkpoints: Sequence[int]) -> str:
-    """Medians over starts, a line for each case and measure."""
+def table(rows: Sequence[dict[str, Any]], checkpoints: Sequence[int]) -> list[list[str]]:
+    """Medians over starts, a line for each case and measure; the head first."""
     lines = [
         [*case, measure, *(number_text(float(x), 3) for x in values)]
         for case, of_case in medians(rows, checkpoints).items()
         for measure, values in of_case.items()
     ]
     header = ["problem", "cost", "rule", "measure", *(f"epoch {x}" for x in checkpoints)]
-    return text_table(header, lines, left=["problem", "cost", "rule", "measure"])
+    return [header, *lines]
 
 
 def picture(rows: Sequence[dict[str, Any]], checkpoints: Sequence[int]) -> Figure:
@@ -330,7 +331,10 @@ def study(options: argparse.Namespace) -> int:
             bar.update()
     rows = [row for row in finished.all() if (row["problem"], row["cost"]) in cases]
     print(f"Medians of {options.starts} starts; value: of the cost before the epoch")
-    print(table(rows, options.checkpoints))
+    head, *lines = table(rows, options.checkpoints)
+    print(text_table(head, lines, left=head[:4]))
+    tables = {"rates": grouped([head, *lines])}
+    store(options, "largest_rates", f"{options.starts} starts", tables)
     with all_or_nothing(options.output) as folder:
         write_csv(folder / "rates.csv", rows)
         save_picture(picture(rows, options.checkpoints), folder / "rates.png")
@@ -351,6 +355,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--on-end", type=int, default=50, help="epochs that must lower the cost")
     parser.add_argument("--checkpoints", type=int, nargs="+", default=list(CHECKPOINTS),
                         help="epochs at which rates are measured")  # fmt: skip
+    command.add_store(parser)
     options = command.parse(
         parser, argv, problems=[SCENE], patterns=100, starts=1, checkpoints=[0, 10, 30],
         on_end=10, scene_hand_over=20,

@@ -40,7 +40,8 @@ from jaxcslc.training import AdaptiveNetwork, inverse_dynamics
 from scripts.studies import command
 from scripts.studies.figures import save_picture
 from scripts.studies.rows import Rows, made_of
-from scripts.studies.tables import rows_table
+from scripts.studies.stored import store
+from scripts.studies.tables import cells_of, rows_table
 from scripts.studies.training.learning_pictures import errors_picture
 from scripts.studies.training.side_by_side import (
     EPOCHS,
@@ -300,6 +301,14 @@ def study(options: argparse.Namespace) -> int:
         return 1
     quantiles = quantile_rows(rows)
     print(rows_table(quantiles))
+    if stages.seconds:  # not those of an earlier run
+        sample = f"{len(rows):,} machines, {jax.devices()[0].device_kind}"
+        names = {f"{name}, ε [N m]": name for name in METHODS}
+        errors = [names.get(cells[0], cells[0]) for cells in cells_of(quantiles)]
+        table = [
+            [name, *cells[1:]] for name, cells in zip(errors, cells_of(quantiles), strict=True)
+        ]
+        store(options, "thousand", sample, {"errors": table, "stages": cells_of(stages.rows())})
     for ended in sorted({row["ended"] for row in rows}):
         print(f"{sum(row['ended'] == ended for row in rows)} trainings ended: {ended}")
     with all_or_nothing(options.output) as folder:
@@ -335,6 +344,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                         help="reduction of the cost per epoch that ends it [(N m)^2]")  # fmt: skip
     parser.add_argument("--epochs", type=int, default=EPOCHS, help="at most")
     parser.add_argument("--rigid", action="store_true", help="without compliance and backlash")
+    command.add_store(parser)
     options = command.parse(parser, argv, machines=4, rigid=True, epochs=1000)
     command.require_least(parser, options, machines=1, epochs=1, first=0)
     if min(options.seconds) < 0.2:

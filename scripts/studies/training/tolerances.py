@@ -55,6 +55,7 @@ from jaxcslc.training import (
 )
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 from scripts.studies.tables import number_text
 from scripts.studies.training.largest_rates import direction, shrinking_rate
 from scripts.studies.truth import published_coefficients
@@ -266,13 +267,13 @@ def by_weight(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def table(rows: Sequence[dict[str, Any]]) -> str:
-    """The summary, methods as columns."""
+def table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """The summary, methods as columns; the head first."""
     lines = [summary(row) for row in rows]
     header = [f"{line['problem']}, {line['method']}" for line in lines]
     names = [name for name in lines[0] if name not in KEYS]
     cells = [[name, *(number_text(line[name], 2) for line in lines)] for name in names]
-    return text_table(["", *header], cells, left=[""])
+    return [["", *header], *cells]
 
 
 def study(options: argparse.Namespace) -> int:
@@ -290,7 +291,11 @@ def study(options: argparse.Namespace) -> int:
                 )
             rows.append(finished[name, method])
     print(f"Rank correlations of {options.seeds} draws' spread or errors; medians over weights")
-    print(table(rows))
+    head, *lines = table(rows)
+    print(text_table(head, lines, left=[""]))
+    store(
+        options, "tolerances", f"{options.seeds} draws of noise", {"correlations": [head, *lines]}
+    )
     with all_or_nothing(options.output) as folder:
         write_csv(folder / "tolerances.csv", by_weight(rows))
     print(f"wrote tolerances.csv into {options.output}")
@@ -306,6 +311,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--epochs", type=int, default=5000, help="of PERAL")
     parser.add_argument("--noise", type=float, default=0.05,
                         help="in parts of the targets' standard deviations")  # fmt: skip
+    command.add_store(parser)
     options = command.parse(
         parser, argv, problems=[CORRELATED], patterns=100, seeds=20, epochs=1000
     )

@@ -32,6 +32,7 @@ from jaxcslc.training import Cost, half_square, mean_modulus
 from scripts.studies import command
 from scripts.studies.figures import save_picture
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 from scripts.studies.training.learning_pictures import conditions_picture
 from scripts.studies.training.peral_comparison import compare_ultrasound, correct, ultrasound
 from scripts.studies.training.peral_operations import PERAL_RULE
@@ -97,8 +98,8 @@ def flat(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def table(rows: Sequence[dict[str, Any]]) -> str:
-    """A line for each condition and goal."""
+def table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """A line for each condition and goal, the head first."""
     header = ["patterns", "inputs", "cost", "hand-over", "goal"]
     header += ["epochs, backpropagation", "epochs, PERAL", "ratio", "ratio of seconds"]
     lines: list[list[str]] = []
@@ -119,7 +120,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
                 number(second[SECONDS_RATIO], 2),
             ]
         )
-    return text_table(header, lines, left=("inputs", "cost"))
+    return [header, *lines]
 
 
 def correct_rows(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -136,21 +137,22 @@ def correct_rows(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def correct_table(rows: Sequence[dict[str, Any]]) -> str:
-    """A line for each row of `correct_rows`."""
+def correct_table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """A line for each row of `correct_rows`, the head first."""
     lines = [
         [
-            str(row["patterns"]),
+            f"{row['patterns']:,}",
             "centred" if row["centred"] else "as they are",
-            row["cost"],
-            f"{row['hand-over']:.0%}",
             row["at"],
             *(f"{row[f'{name} patterns correct']:.1%}" for name in ("training", "comparison")),
+            row["cost"],
+            f"{row['hand-over']:.0%}",
         ]
         for row in rows
     ]
-    header = ["patterns", "inputs", "cost", "hand-over", "at", "training", "comparison"]
-    return text_table(header, lines, left=("inputs", "cost", "at"))
+    header = ["patterns", "inputs", "at", "training patterns correct"]
+    header += ["comparison patterns correct", "cost", "hand-over"]
+    return [header, *lines]
 
 
 def wins(rows: Sequence[dict[str, Any]]) -> str:
@@ -179,10 +181,15 @@ def study(options: argparse.Namespace) -> int:
     of_conditions = [finished[condition] for condition in conditions(options)]
     rows, shares = flat(of_conditions), correct_rows(of_conditions)
     print(f"epochs from the hand-over on, medians of {options.seeds} starts (starts that arrive)")
-    print(table(rows))
+    head, *lines = table(rows)
+    print(text_table(head, lines, left=("inputs", "cost")))
     print(wins(rows))
     print("\nclassified correctly, medians of starts that were handed over")
-    print(correct_table(shares))
+    head, *lines = correct_table(shares)
+    print(text_table(head, lines, left=("inputs", "at", "cost")))
+    sample = f"{options.seeds} starts"
+    store(options, "ultrasound", sample, {"epochs": table(rows)})
+    store(options, "ultrasound_comparison", sample, {"patterns": correct_table(shares)})
     with all_or_nothing(options.output) as folder:
         write_csv(folder / "conditions.csv", rows)
         write_csv(folder / "correct.csv", shares)
@@ -202,6 +209,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--before", type=int, default=300, help="epochs at most to the hand-over")
     parser.add_argument("--further", type=int, default=700, help="epochs of backpropagation after")
     parser.add_argument("--tuning", type=int, default=700, help="epochs of PERAL at most")
+    command.add_store(parser)
     options = command.parse(
         parser, argv, seeds=2, patterns=[200], hand_over=[0.3], before=100, further=100, tuning=100
     )

@@ -45,7 +45,7 @@ def test_tables_and_resumption(
     assert study.main([*options, "--methods", *NAMES[:2]]) == 0
     assert study.main(options) == 0
     assert calls == [(seed, count) for count in (2, len(NAMES) - 2) for seed in (0, 1)]
-    lines = capsys.readouterr().out.split("encoders")[-1].split("\n")
+    lines = capsys.readouterr().out.split("encoders")[-2].split("\n")
     # Means of 2 and 0 over standard deviations of root two.
     bias = f"{np.sqrt((2 / np.sqrt(2)) ** 2 / 2):.2f}"
     row = next(line for line in lines if line.startswith(NAMES[2]))

@@ -23,8 +23,8 @@ def test_the_table_judges_weak_motions_and_names_by_the_rich_one() -> None:
         row("rich", 0.02, 0.4, 0.02, 0.02, named=True),
     ]
     text = "\n".join(_tables(rows))
-    (line,) = (line for line in text.splitlines() if line.startswith("usual "))
-    expected = "usual 2 0.50, 0.50 0.25, 0.25 1.00, 1.00 100 100 0 100"
+    (line,) = (line for line in text.splitlines() if line.startswith("usual: "))
+    expected = "usual: masses 20 %, centres 2 cm 2 0.50, 0.50 0.25, 0.25 1.00, 1.00 100 100 0 100"
     assert line.split() == expected.split()
     assert "usual, rich motion, 1 coefficients of which the file is less than 10 %" in text
     assert "median 0.020, 95 % 0.020 standard errors" in text
@@ -38,5 +38,5 @@ def test_recordings_that_are_too_short_are_counted_apart() -> None:
     failed = {"motion": "short", "file": "usual", "failed": "too short"}
     text = "\n".join(_tables([failed, row("slow", 0.2, 0.4, 0.1, 0.2)]))
     assert text.startswith("1 recordings too short to be fitted")
-    (line,) = (line for line in text.splitlines() if line.startswith("usual "))
+    (line,) = (line for line in text.splitlines() if line.startswith("usual: "))
     assert line.split()[-4:] == ["0", "0", "0", "-"]

@@ -51,7 +51,7 @@ def test_tables_and_resumption(
         for line in printed.split("\n")
         if line
     }
-    assert lines["regression"][1:] == ["0.0300", "0.0200", "0.0400"]
+    assert lines["regression,"][-3:] == ["0.0300", "0.0200", "0.0400"]
     # Seeds 0, 1 and 2: the root of the mean of 0, 1 and 4; two of three inside.
     spread = np.sqrt(5 / 3)
     assert lines["viscous"][1:4] == [f"{2 * spread:.2f}", f"{spread:.2f}", "66.7"]
@@ -148,5 +148,5 @@ def test_links_of_the_wrong_file_and_the_table_of_bodies() -> None:
         "converged": True,
     }
     rows = [{"case": "short", "file": "none", "seed": seed, **row} for seed in range(2)]
-    line = possible_bodies.table(rows).splitlines()[-1].split()
-    assert line[:2] == ["short", "none"] and line[-6:] == ["2", "of", "2", "2", "of", "2"]
+    line = possible_bodies.table(rows)[-1]
+    assert line[:2] == ["short", "none"] and line[-2:] == ["2 of 2", "2 of 2"]

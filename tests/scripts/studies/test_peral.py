@@ -161,7 +161,7 @@ def test_shares_of_correct_classifications() -> None:
     (line,) = ultrasound.correct_rows([row | {"correct": [stage]}])
     assert line["at"] == "end of PERAL"
     assert line["training patterns correct"] == 0.4 and line["comparison patterns correct"] == 0.2
-    assert "40.0%" in ultrasound.correct_table([line])
+    assert "40.0%" in ultrasound.correct_table([line])[1]
 
 
 def test_never_is_longer_than_anything() -> None:
