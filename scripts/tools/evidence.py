@@ -14,8 +14,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from scripts.studies.stored import filled
-from scripts.tools.stored_figures import stored
+from scripts.studies.stored import Results, filled, save
+from scripts.tools.stored_figures import measurements, stored
 
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -336,7 +336,33 @@ def _text(x: float, y: float, text: str, *, weight: str = "400") -> str:
     )
 
 
+# Rows of the table of the solve's accuracy: robots and motions of the benchmark's metrics.
+_MOTIONS = {"all": "all joints moving", "1e_2": "by hundredths of rad", "1e_3": "by thousandths"}
+_ERRORS = {
+    "reflections, processor": "error_of_reflections_standard_errors",
+    "products, H200": "error_of_products_standard_errors",
+    "`fit`, H200": "error_of_fit_standard_errors",
+}
+
+
+def solve_accuracy() -> Results:
+    """Return the table of the accuracy of solves on an H200, from the stored benchmark."""
+    (measured,) = (
+        one for one in measurements() if one["group"] == "solve" and "H200" in one["machine"]
+    )
+    values = {metric["name"]: metric["value"] for metric in measured["metrics"]}
+    rows = [["", "condition number", *_ERRORS]]
+    for robot, name in (("puma560", "PUMA 560, "), ("panda", "Panda, ")):
+        for motion, words in _MOTIONS.items():
+            of_motion = f"{robot}_motion_{motion}"
+            cells = [f"{values[f'{of_motion}.{error}']:.1e}" for error in _ERRORS.values()]
+            rows.append([name + words, f"{values[f'{of_motion}.condition']:.2g}", *cells])
+    command = "make bench ARGS='--groups solve --update'"
+    return Results(command, measured["date"], "one seed, H200", {"motions": rows})
+
+
 def main() -> None:
+    save("solve_accuracy", solve_accuracy())
     for path in sorted(DOCS.glob("*.md")):
         page = path.read_text("utf-8")
         if (now := filled(page)) != page:

@@ -18,9 +18,8 @@ IMAGES = Path(__file__).parents[2] / "docs" / "images"
 _PICTURES = {
     "report.png": (850, ""),
     "report_torque.png": (
-        560,
-        "body > *, main > * { display: none } main, #measured-and-predicted-torque"
-        " { display: block }",
+        600,
+        "header, nav, main > :not(#measured-and-predicted-torque) { display: none }",
     ),
 }
 _WIDTH, _DRAWING = 1100, 8_000  # pixels; milliseconds of the page's own time to draw charts

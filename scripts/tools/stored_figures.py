@@ -18,6 +18,7 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from scripts.studies.stored import table
 
@@ -111,9 +112,15 @@ def _plain(cell: str) -> str:
     return cell.strip().replace("**", "").replace("\\|", "|")
 
 
+def measurements() -> list[dict[str, Any]]:
+    """Return the stored benchmarks: each with its group, machine, date and metrics."""
+    return json.loads(
+        (ROOT / "scripts" / "benchmarks" / "stored" / "results.json").read_text("utf-8")
+    )
+
+
 def _benchmarks(name: str) -> Iterator[float]:
-    text = (ROOT / "scripts" / "benchmarks" / "stored" / "results.json").read_text("utf-8")
-    for measurement in json.loads(text):
+    for measurement in measurements():
         for metric in measurement["metrics"]:
             if metric["name"] == name:
                 yield metric["value"]

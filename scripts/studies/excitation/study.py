@@ -42,6 +42,8 @@ from scripts.studies.excitation.motions import (
     DESIGNS,
     DIRECTIONAL,
     MOTIONS,
+    RANDOM,
+    THESIS,
     Designs,
     path_of,
     predicted_errors,
@@ -118,8 +120,18 @@ def row_of(
 
 
 # Rows and columns of the page's tables; what a design's name is there.
-_PAGE = ("epsilon", "error", "standard error")
-_NAMES = {"overall": "designed: overall", "mean": "designed: mean standard error"}
+_PAGE = {
+    "epsilon": "ε [N m]",
+    "error": "mean error",
+    "standard error": "mean reported standard error",
+}
+_NAMES = {
+    "overall": "designed: overall",
+    "mean error": "designed: mean standard error",
+    "condition number": "least condition number",
+    RANDOM: "random Fourier series within the limits",
+    THESIS: "the thesis's training trajectory",
+}
 
 
 def page_table(rows: Sequence[dict[str, Any]], *, inverse: bool = False) -> list[list[str]]:
@@ -128,7 +140,7 @@ def page_table(rows: Sequence[dict[str, Any]], *, inverse: bool = False) -> list
     - `inverse`: ratios of the design to the motion.
     """
     ours = {row["number"]: row for row in rows if row["name"] == "overall"}
-    table = [["motion", "recordings", *(QUANTITIES[name] for name in _PAGE)]]
+    table = [["motion", "recordings", *_PAGE.values()]]
     for name in MOTIONS:
         some = [row for row in rows if row["name"] == name]
         if not some:

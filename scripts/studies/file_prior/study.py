@@ -27,6 +27,7 @@ from jaxcslc.bodies import bodies_of, body_map
 from jaxcslc.manipulator import LinkParameters
 from scripts.studies import command
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
 
 
 ROBOTS = Path(jc.examples.__file__).parent / "robots"
@@ -106,6 +107,12 @@ def _study(rows: Rows, jobs: list[Any], missing: list[Any], options: Any) -> int
     print(text)
     options.output.mkdir(parents=True, exist_ok=True)
     (options.output / "tables.txt").write_text(text + "\n", encoding="utf-8")
+    finished = [row for row in (rows[job] for job in jobs) if "failed" not in row]
+    sample = f"{len(options.arms)} arms, {options.seeds} seeds of each"
+    if not options.offset:
+        tables = {"files": _files(finished), "links": _links(finished)}
+        store(options, "file_prior", sample, tables)
+        store(options, "file_prior_intervals", sample, {"intervals": _intervals(finished)})
     return 0
 
 
@@ -386,15 +393,52 @@ def _total(row: dict[str, Any], name: str) -> float:
     return max(float(np.max(np.divide(row[name], row["torque"]))), NOISE)
 
 
-def _determined(file: str, rows: list[dict[str, Any]]) -> Iterator[str]:
-    rich = [row for row in rows if row["motion"] == "rich"]
-    if not rich:
-        return
+def _known(rows: list[dict[str, Any]]) -> Float[np.ndarray, "3 coefficients"]:
+    """Of rich motions' coefficients of which the file is less than a tenth: changes by the file
+    in standard errors, and whether they are inside intervals, and inside those of standard errors.
+    """
     names = ("change", "inside", "inside_noise")
     told = [
-        np.array([row[name] for name in names])[:, np.array(row["share"]) < 0.1] for row in rich
+        np.array([row[name] for name in names], float)[:, np.array(row["share"]) < 0.1]
+        for row in rows
+        if row["motion"] == "rich"
     ]
-    changes, inside, inside_noise = np.concatenate(told, axis=1)
+    return np.concatenate(told, axis=1) if told else np.zeros((3, 0))
+
+
+def _intervals(rows: list[dict[str, Any]]) -> list[list[str]]:
+    """A line for each file, the head first: intervals that contain the truth."""
+    head = ["file", "coefficients", "printed interval [%]", "standard error alone [%]"]
+    table = [[*head, "change by the file, median and 95 % [standard errors]"]]
+    for file in dict.fromkeys(row["file"] for row in rows):
+        changes, inside, inside_noise = _known([row for row in rows if row["file"] == file])
+        if len(changes):
+            median, most = np.quantile(changes, (0.5, 0.95))
+            shares = [f"{100 * np.mean(part):.1f}" for part in (inside, inside_noise)]
+            table.append([FILES[file], str(len(changes)), *shares, f"{median:.3f}, {most:.3f}"])
+    return table
+
+
+def _links(rows: list[dict[str, Any]]) -> list[list[str]]:
+    """A line for each motion, the head first: errors of masses and centres with usual files, over
+    those of the file, root mean squares over links and recordings.
+    """
+    table = [["motion", "masses", "centres"]]
+    usual = [row for row in rows if row["file"] == "usual"]
+    for motion in dict.fromkeys(row["motion"] for row in usual):
+        some = [row for row in usual if row["motion"] == motion]
+        ours, files = (
+            np.sqrt(np.mean(np.square(np.concatenate([row[name] for row in some])), axis=0))
+            for name in ("body_error", "file_body_error")
+        )
+        table.append([motion, *(f"{ratio:.2f}" for ratio in ours / files)])
+    return table
+
+
+def _determined(file: str, rows: list[dict[str, Any]]) -> Iterator[str]:
+    changes, inside, inside_noise = _known(rows)
+    if not len(changes):
+        return
     median, most = np.quantile(changes, (0.5, 0.95))
     yield (
         f"{file}, rich motion, {len(changes)} coefficients of which the file is less than 10 %:"

@@ -20,6 +20,7 @@ from scripts.studies.real_robots import by_arm
 from scripts.studies.real_robots.arms import READERS, Arm, read
 from scripts.studies.real_robots.methods import Model
 from scripts.studies.real_robots.study import judged
+from scripts.studies.stored import store
 
 
 jax.config.update("jax_enable_x64", True)
@@ -69,19 +70,37 @@ def rows_of(name: str, arm: Arm) -> list[list[str]]:
     return rows
 
 
+def page_table(means: list[list[str]]) -> list[list[str]]:
+    """The page's table, the head first: mean errors by recording, a column for each spacing.
+
+    - `means`: recording, method and error; what `every auto` chose is in brackets.
+    """
+    by_recording: dict[str, dict[str, str]] = {}
+    for recording, method, mean in means:
+        name, _, chosen = method.partition(" (")
+        text = f"{mean} ({chosen}" if chosen else mean
+        by_recording.setdefault(recording, {})[name] = text
+    head = ["least squares", *(f"every {spacing}" for spacing in SPACINGS)]
+    return [["", *head], *([name, *(x[y] for y in head)] for name, x in by_recording.items())]
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     parser = by_arm.new_parser(__doc__, "spacings")
     parser.set_defaults(arms=[*READERS, LWR4])
+    command.add_store(parser)
     options = command.parse(parser, argv, arms=["KUKA KR300"])
     command.require_some_of(parser, "arm", options.arms, (*READERS, LWR4))
 
     def study() -> int:
+        means: list[list[str]] = []
         for name in command.progress(options.arms, desc="arms", unit="arm"):
             arm = lwr4(options.data / LWR4_FOLDER) if name == LWR4 else read(name, options.data)
             rows = rows_of(name, arm)
             joints = [str(joint + 1) for joint in range(len(rows[0]) - 4)]
             header = ["arm", "recording", "maximum likelihood", *joints, "mean"]
             print(text_table(header, rows, left=header[:3]), end="\n\n")
+            means += [[f"{arm}, {test}", method, mean] for arm, test, method, *_, mean in rows]
+        store(options, "spacings", "one recording of each motion", {"errors": page_table(means)})
         return 0
 
     return command.run(parser, study, seconds=15.0 * len(options.arms))

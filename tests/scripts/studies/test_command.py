@@ -23,6 +23,17 @@ def test_a_trial_run_replaces_defaults_and_not_options() -> None:
     assert parsed(["--seeds", "5", "--quick", "--noise", "0"]) == (5, 0.0, True)
 
 
+def test_a_trial_run_stores_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = command.new_parser("A study.", "some_study")
+    command.add_store(parser)
+    assert command.parse(parser, ["--store"]).store
+    parser = command.new_parser("A study.", "some_study")
+    command.add_store(parser)
+    with pytest.raises(SystemExit):
+        command.parse(parser, ["--store", "--quick"])
+    assert "--store is for full runs; expected no --quick" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("value", [-1.0, 0.0, 1.0, float("nan")])
 def test_values_between_limits(capsys: pytest.CaptureFixture[str], value: float) -> None:
     parser = command.new_parser("A study.", "some_study")

@@ -16,6 +16,8 @@ from scripts.studies.control.pictures import (
     joint_error_picture,
     traced_path_picture,
 )
+from scripts.studies.control.results import TRACKING
+from scripts.studies.stored import load
 from scripts.studies.truth import published_coefficients, true_coefficients
 
 
@@ -55,7 +57,12 @@ def test_the_study_writes_tables_and_pictures_and_goes_on(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert study.main([*FEW, "-o", str(tmp_path)]) == 0
+    monkeypatch.setattr("scripts.studies.stored.RESULTS", tmp_path)
+    assert study.main([*FEW, "-o", str(tmp_path), "--store"]) == 0
+    head, *lines = load("control").tables["tracking"]
+    assert head == ["", "go-to, 0.4 s", "circle, 0.4 s"]
+    assert [line[0] for line in lines] == list(TRACKING) and lines[1][1] == ""
+    assert 0 < float(lines[-2][1]) < float(lines[0][1])  # CSLC, and PID
     printed = capsys.readouterr().out
     assert "2 machines, natural frequency 20 rad/s" in printed
     assert "with CSLC coefficients, over that with others" in printed

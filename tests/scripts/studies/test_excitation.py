@@ -10,6 +10,7 @@ from scripts.studies.excitation.study import (
     QUANTITIES,
     _tasks,
     compare_text,
+    page_table,
     sequence_text,
     tables,
 )
@@ -26,6 +27,10 @@ def test_ratios_are_seed_by_seed() -> None:
     lines = compare_text(rows).splitlines()
     assert [line.split()[0] for line in lines[1:]] == ["overall", "thesis"]
     assert lines[2].count("2.00 (2.00 to 2.00)") == len(QUANTITIES)
+    _, ours, other = page_table(rows)
+    assert ours[:4] == ["designed: overall", "3", "2.000", "2e+02 %"]
+    assert other[2] == "4.000; 2.00 (2.00 to 2.00)"
+    assert page_table(rows, inverse=True)[2][2] == "4.000; 0.50 (0.50 to 0.50)"
 
 
 def test_a_trial_run_compares_one_design_with_motions_that_need_none() -> None:

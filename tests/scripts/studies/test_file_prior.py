@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from scripts.studies.file_prior.study import _tables
+from scripts.studies.file_prior.study import _intervals, _links, _tables
 
 
 def row(motion: str, *errors: float, named: bool = False) -> dict[str, Any]:
@@ -26,6 +26,8 @@ def test_the_table_judges_weak_motions_and_names_by_the_rich_one() -> None:
     (line,) = (line for line in text.splitlines() if line.startswith("usual: "))
     expected = "usual: masses 20 %, centres 2 cm 2 0.50, 0.50 0.25, 0.25 1.00, 1.00 100 100 0 100"
     assert line.split() == expected.split()
+    assert _links(rows)[1] == ["slow", "0.50", "1.00"]
+    assert _intervals(rows)[1][1:] == ["1", "100.0", "100.0", "0.020, 0.020"]
     assert "usual, rich motion, 1 coefficients of which the file is less than 10 %" in text
     assert "median 0.020, 95 % 0.020 standard errors" in text
     assert "inside their intervals 100.0 %, and inside those of the standard error alone" in text

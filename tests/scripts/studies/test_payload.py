@@ -1,6 +1,7 @@
 """A payload picked up, carried and put down: the task, the loops that do it, and a small run."""
 
 import csv
+import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,6 +21,7 @@ from scripts.studies.payload.arms import METHODS, NOT_LEARNT, Arms
 from scripts.studies.payload.bound import Equations, mass_bound
 from scripts.studies.payload.errors import estimate_errors
 from scripts.studies.payload.loops import KnownPayloadLoop, LoopBatch
+from scripts.studies.payload.results import Tables
 
 
 def test_a_batch_does_what_its_loops_do(rng: np.random.Generator) -> None:
@@ -158,6 +160,13 @@ def test_a_small_run(
         raise sim.MachineError("film: no OpenGL")
 
     kept = (tmp_path / "rows.jsonl").read_text()
+    table = Tables(json.loads(kept)["rows"]).page_table()
+    assert table[:2] == [["", "quantised encoders"], ["mass after 1 s of motion [%]", "1 (1)"]]
+    assert table[-3:] == [
+        ["picked up, detected after [s]", "0.30"],
+        ["put down, detected after [s]", "0.20"],
+        ["placing error, uncompensated over compensated", "10"],
+    ]
     (tmp_path / "rows.jsonl").write_text(kept + '{"case": "encoders", "half')
     monkeypatch.setattr(study, "film", impossible)
     monkeypatch.setattr(study, "draw", lambda *_: [])  # as before

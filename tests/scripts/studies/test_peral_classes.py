@@ -302,6 +302,10 @@ def test_tables_and_pictures() -> None:
     methods = {row["method"] for row in of_study.methods()}
     assert methods == {"backpropagation", "PERAL", "best switch", "indicator", "Adam"}
     assert "1.88" in tables.tuning_table(rows) or "1.07" in tables.tuning_table(rows)
+    page = tables.page_tables(tables.Results(rows_of("linear", 0.05)))
+    assert page["epochs"][0][:3] == ["", "backpropagation", "PERAL"]
+    assert page["epochs"][1][0] == "linear *" and page["hindsight"][1][0] == "linear *"
+    assert page["milliseconds"][1][1] == "40 (1)"  # one of two seeds arrives
     drawn = pictures(of_study)
     assert set(drawn) == {"switch.png", "time.png"}
     for figure in drawn.values():

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from scripts.studies.stored import RESULTS, Results, filled, load, save
-from scripts.tools.evidence import CHARTS, FOLDER, Chart, drawn
+from scripts.tools.evidence import CHARTS, FOLDER, Chart, drawn, solve_accuracy
 from scripts.tools.stored_figures import cell_named, numbers_of, stored
 
 
@@ -108,6 +108,10 @@ def test_no_table_of_results_is_typed(page: str) -> None:
     typed = re.sub(r"<!-- table: (?:.*\n)*?<!-- end -->", "", text)
     heads = re.findall(r"(?:^|\n\n)(\|.+\|)\n\|-", typed)
     assert heads == _DEFINITIONS.get(page, [])
+
+
+def test_the_accuracy_of_solves_is_that_of_the_stored_benchmark() -> None:
+    assert load("solve_accuracy") == solve_accuracy()
 
 
 def test_what_is_stored_is_what_a_page_shows(
