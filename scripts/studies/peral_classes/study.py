@@ -122,7 +122,11 @@ def study(options: argparse.Namespace) -> int:
     results = Results(rows)
     print(report(results, options.seeds))
     if results.compared:
-        store(options, "peral_classes", f"{options.seeds} seeds", page_tables(results))
+        tables, sample = page_tables(results), f"{options.seeds} seeds"
+        if set(options.classes) == set(CLASSES):
+            store(options, "peral_classes", sample, tables)
+        else:  # of some classes, the page has the rules of the thesis
+            store(options, "peral_rules", sample, {"steps": tables["epochs"]})
     with all_or_nothing(options.output) as folder:
         for name, lines in (
             ("methods.csv", results.methods()),

@@ -42,6 +42,8 @@ from jaxcslc.training import (
 from scripts.studies import command
 from scripts.studies.figures import save_picture
 from scripts.studies.rows import Rows, made_of
+from scripts.studies.stored import store
+from scripts.studies.tables import grouped
 from scripts.studies.training.learning_pictures import Learning, learning_picture
 from scripts.studies.training.peral_comparison import (
     BACKPROPAGATION_RATE,
@@ -67,6 +69,7 @@ from scripts.studies.training.peral_operations import (
 )
 from scripts.studies.training.peral_tables import (
     epoch_rows,
+    epochs_cells,
     epochs_table,
     operations,
     report,
@@ -253,7 +256,9 @@ def printed(outcome: Outcome) -> Outcome:
 
 def study(options: argparse.Namespace) -> int:
     """Trains everything, prints the tables and writes the files."""
-    numbers = {k: v for k, v in sorted(vars(options).items()) if k not in ("output", "quick")}
+    numbers = {
+        k: v for k, v in sorted(vars(options).items()) if k not in ("output", "quick", "store")
+    }
     code = [Path(__file__).with_name(f"peral{name}.py") for name in ("", "_comparison")]
     digest = made_of(numbers, code)
     checkpoints = options.output / f"checkpoints-{digest[:12]}"
@@ -292,6 +297,9 @@ def study(options: argparse.Namespace) -> int:
         figures = pictures(scenes, [arms[i] for i in np.argsort(options.noise)])
         for name, figure in figures.items():
             save_picture(figure, folder / name)
+    of_arms = [row for outcome in arms for row in epoch_rows(outcome)]
+    sample = f"{options.seeds} seeds, {options.other_seeds} at other noises"
+    store(options, "peral_puma", sample, {"epochs": grouped(epochs_cells(of_arms))})
     names = ", ".join(["epochs.csv", "operations.csv", "peral_study.json", *figures])
     print(f"\nwrote {names} into {options.output}")
     return 0
@@ -345,6 +353,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     epochs = {"before": 100, "hand_over": 50, "further": 50, "tuning": 50, "minimum_epochs": 4000}
     patterns = {"ultrasound_patterns": 200, "puma_patterns": 60}
     seeds = {"seeds": 2, "other_seeds": 2, "starts": 2, "noise": [0.1]}
+    command.add_store(parser)
     options = command.parse(parser, argv, **epochs, **patterns, **seeds)
     check(parser, options)
     if options.quick:  # 80 in place of 120 s of processor time, nothing compiled before

@@ -78,8 +78,8 @@ def quotient(a: float, b: float) -> float:
     return float(np.divide(a, b)) if b else float("inf") if a else 1.0
 
 
-def epochs_table(rows: Sequence[dict[str, Any]]) -> str:
-    """Epochs and seconds to each goal."""
+def epochs_cells(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """Epochs and seconds to each goal, the head first."""
     header = [
         "",
         "goal",
@@ -104,7 +104,13 @@ def epochs_table(rows: Sequence[dict[str, Any]]) -> str:
         ]
         for row in rows
     ]
-    return text_table(header, lines)
+    return [header, *lines]
+
+
+def epochs_table(rows: Sequence[dict[str, Any]]) -> str:
+    """The same as text."""
+    head, *lines = epochs_cells(rows)
+    return text_table(head, lines)
 
 
 def ratio_text(row: dict[str, Any]) -> str:
