@@ -11,6 +11,7 @@ import pinocchio
 import pytest
 
 import jaxcslc as jc
+from jaxcslc.cli._servo import ServoOptions
 from jaxcslc.manipulator import RobotError
 from jaxcslc.servo import (
     ServoDrive,
@@ -159,17 +160,38 @@ def test_frictionloss_and_damping_stand_for_what_mujoco_lacks(
     assert differences[1] < 0.9 * differences[0]
 
 
-def test_the_program_of_the_page(arm: jc.Manipulator, tmp_path: Path) -> None:
+def test_the_program_of_the_page(
+    arm: jc.Manipulator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Plain MuJoCo, as docs/servo.md has it, replays the same."""
     page = (Path(__file__).parents[2] / "docs" / "servo.md").read_text("utf-8")
     (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    drives = [ServoDrive(10.0, 0.5, delay=0.03), ServoDrive(8.0, 0.3, coulomb=0.1)]
+    path = write_servo_mjcf(arm, drives, tmp_path / "results" / "servos.xml").path
+    x = commands(2)
+    monkeypatch.chdir(tmp_path)
+    log = np.column_stack([x.time, x.command, x.position])
+    np.savetxt("validation.csv", log, "%.17g", ",", header="names", comments="")
     names: dict[str, Any] = {}
     exec(compile(program, "docs/servo.md", "exec"), names)
-    drives = [ServoDrive(10.0, 0.5, delay=0.03), ServoDrive(8.0, 0.3, coulomb=0.1)]
-    path = write_servo_mjcf(arm, drives, tmp_path / "servos.xml").path
-    x = commands(2)
-    replayed = names["replay"](str(path), x.time, x.command, x.position[0])
-    np.testing.assert_array_equal(replayed, replay_in_mujoco(path, x))
+    np.testing.assert_array_equal(names["readings"], replay_in_mujoco(path, x))
+
+
+def test_the_table_of_the_page_is_that_of_the_example(tmp_path: Path) -> None:
+    """`--table` of docs/servo.md: the tip of the SO-101's hand, by MuJoCo's kinematics."""
+    page = (Path(__file__).parents[2] / "docs" / "servo.md").read_text("utf-8")
+    (text,) = set(re.findall(r"--table (\S+) -o servos", page))
+    example = jc.examples.write_example("so101", tmp_path).robot
+    robot = jc.load_robot(example)
+    table = ServoOptions(drive="servo", table=text).table_of(robot)
+    assert table is not None
+    model = mujoco.MjModel.from_xml_path(str(example))
+    data = mujoco.MjData(model)
+    data.qpos[:] = q = np.array([0.3, 0.4, -0.5, 0.6, 0.7, 0.2])
+    mujoco.mj_kinematics(model, data)
+    hand = data.body("gripper_link")
+    tip = hand.xpos + hand.xmat.reshape(3, 3) @ [-0.0079, -0.0002, -0.0981]
+    np.testing.assert_allclose(table.heights(robot, q[None]), tip[2], atol=1e-6)
 
 
 def test_what_is_left_out_is_said(arm: jc.Manipulator, tmp_path: Path) -> None:
