@@ -130,8 +130,8 @@ CHARTS: Mapping[str, Chart] = {
         "rests/errors | {series} | {group}",
         {f"joint {joint}": str(joint) for joint in range(1, 7)},
         {
-            "by the sign of velocity": "KUKA KR300, B & by the sign of velocity",
-            "mean of before and after": "1 to 7 % of samples are rest & mean of before and after",
+            "by the sign of velocity": "KUKA KR300 & B & by the sign of velocity",
+            "mean of before and after": "KUKA KR300 & B & mean of before and after",
         },
     ),
     "uncertainty": Chart(

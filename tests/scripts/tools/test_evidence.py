@@ -49,7 +49,7 @@ def test_bars_are_as_long_as_their_values() -> None:
 
 
 def test_cells_are_found_by_their_names() -> None:
-    row = "rests/errors | KUKA KR300, B & by the sign of velocity"
+    row = "rests/errors | KUKA KR300 & B & by the sign of velocity"
     assert cell_named(f"{row} | 2") == "15.7"
     with pytest.raises(ValueError, match="no such cell"):
         cell_named(f"{row} | 9")
