@@ -56,6 +56,8 @@ _ROUNDS = 10
 _FEWEST = 0.5
 # Links are no wider than this: it says nothing of them any more.
 _WIDEST = 30.0
+# A prior that must not be felt is wider than itself by this factor: what it weighs is a millionth.
+_LOOSE = 1e3
 # Relative eigenvalues of the prior's covariance below this are rounding.
 _ROUNDING = 1e-12
 # Masses and moments that agree to this part are the same number.
@@ -175,12 +177,15 @@ class FilePrior:
             motors=self.motors * factor,
         )
 
-    def with_link_widths(self, widths: Mapping[str, float]) -> "FilePrior":
-        """Return the prior with the widths of `FileWeight`, by link."""
+    def as_tie_break(self, widths: Mapping[str, float]) -> "FilePrior":
+        """Return the prior for a fit that contains it already: it decides only what no coefficient
+        shows.
+
+        - `widths`: by link, those of `FileWeight`.
+        """
         known = zip(self.names, self.widths.tolist(), strict=True)
-        return dataclasses.replace(
-            self, widths=np.array([widths.get(name, width) for name, width in known])
-        )
+        of_links = np.array([widths.get(name, width) for name, width in known])
+        return dataclasses.replace(self, widths=of_links).scaled(_LOOSE)
 
     def of_fit(self, network: CSLC, fit: Identification) -> "FilePrior":
         """Return the prior of what a fit shows to be known of errors: their correlation, and sizes
@@ -204,7 +209,7 @@ class FilePrior:
     def confidence(self) -> Confidence:
         """Errors of the file's bodies, as the programme of nearest bodies has them."""
         changes = self.changes * (self.widths / WIDTH)[:, None, None]
-        return Confidence(changes, self.motor_errors, WIDTH, self.correlation)
+        return Confidence(changes, self.motor_errors, self.offset_errors, WIDTH, self.correlation)
 
     @property
     def covariance(self) -> Float[np.ndarray, "coefficients coefficients"]:

@@ -456,12 +456,14 @@ class Confidence(NamedTuple):
 
     - `changes`: (n, 10, 10) independent changes of each link, as columns.
     - `motors`: (n,) standard errors of motor inertias.
+    - `offsets`: (p,) standard errors of torque offsets about zero; 0 of all other coefficients.
     - `width`: standard error of each change.
     - `correlation`: times that errors of a fit exceed those of independent samples, as variances.
     """
 
     changes: Float[np.ndarray, "links 10 10"]
     motors: Float[np.ndarray, " links"]
+    offsets: Float[np.ndarray, " coefficients"]
     width: float
     correlation: float
 
@@ -494,8 +496,9 @@ class NearestBodies:
     - `changes`: independent changes of bodies, as columns; of the pseudo-inertia in units of the
       prior if None.
     - `weight`: standard errors that a change of a body by its whole unit counts.
-    - `known`: 1 for others that the prior knows: motor inertias of the robot's file. A motor
-      inertia that it lacks is no measurement of zero, and counts by `WEAK` at most.
+    - `known`: 1 for others that the prior knows: motor inertias of the robot's file, and torque
+      offsets. A motor inertia that it lacks is no measurement of zero, and counts by `WEAK` at
+      most.
     - `informed`: whether bodies of the prior are those of the robot, not balls.
     - `knowledge`: what is known of single parameters.
     """
@@ -574,6 +577,9 @@ class NearestBodies:
         )
         positive = np.array([network.coefficients[i].positive for i in others], bool)
         start = np.where(positive, np.maximum(k[others], 0.0), k[others])
+        offsets = np.zeros(len(others)) if confidence is None else confidence.offsets[others]
+        start = np.where(offsets > 0.0, 0.0, start)
+        scales[motor_count:] = np.where(offsets > 0.0, offsets * weight, scales[motor_count:])
         other_columns = np.zeros((p, len(scales)))
         other_columns[inertial, :motor_count] = of_motors[:, motor_mask]
         other_columns[others, motor_count:] = np.eye(len(others))
@@ -595,7 +601,7 @@ class NearestBodies:
             bounded=np.concatenate([np.ones(motor_count), 1.0 * positive]),
             scales=scales,
             weight=weight,
-            known=np.concatenate([1.0 * known[motor_mask], 0.0 * others]),
+            known=np.concatenate([1.0 * known[motor_mask], 1.0 * (offsets > 0.0)]),
             informed=links is not None,
             knowledge=tuple(knowledge),
         )

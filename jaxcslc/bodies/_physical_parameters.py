@@ -87,6 +87,68 @@ class PhysicalParameters:
     torque_distance: Float[np.ndarray, " joints"]
     result: POSSIBILITY
 
+    @classmethod
+    def of_bodies(
+        cls,
+        network: CSLC,
+        bodies: Sequence[LinkParameters],
+        k: Float[np.ndarray, " coefficients"],
+        *,
+        prior_weight: float,
+        distance: float,
+        torque_distance: Float[np.ndarray, " joints"],
+    ) -> "PhysicalParameters":
+        """Return the parameters of bodies that were computed before.
+
+        **Arguments**
+
+        - `network`: p coefficients, n joints.
+        - `bodies`, `k`, `prior_weight`, `distance`, `torque_distance`: the attributes.
+
+        **Raises** `ValueError` for another number of bodies, joints or coefficients.
+        """
+        robot, n = network.robot, network.joint_count
+        for name, count, expected in (
+            ("bodies", len(bodies), robot.joint_count),
+            ("torque_distance", len(torque_distance), n),
+            ("k", len(k), network.size),
+        ):
+            if count != expected:
+                raise ValueError(f"{name}: expected {expected} entries, got {count}")
+        source = robot.source
+        placements = source.placements if source is not None and source.placements else None
+        without_fixed = tuple(
+            body if placements is None else seen_from(body, placements[i])
+            for i, body in enumerate(bodies)
+        )
+        links = tuple(
+            constrained(
+                kind,
+                body
+                if carried is None
+                else link_of(body_of(body) + body_of(carried), float(body.motor_inertia)),
+            )
+            for kind, body, carried in zip(
+                robot.inertia,
+                without_fixed,
+                fixed_bodies(robot) or (None,) * robot.joint_count,
+                strict=True,
+            )
+        )
+        return cls(
+            network.names,
+            links,
+            without_fixed,
+            tuple(bodies),
+            body_names(robot),
+            _friction(network, k),
+            k,
+            prior_weight,
+            distance,
+            torque_distance,
+            POSSIBILITY.successful,
+        )
+
     def to_pandas(self) -> "pandas.DataFrame":
         """Return a table with one row per body, in the frames of the robot's file.
 

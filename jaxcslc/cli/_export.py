@@ -75,6 +75,7 @@ def export_command(
                 motion=saved.motion,
                 motors=motors,
                 systematic=saved.systematic,
+                bodies=saved.bodies,
                 file_weight=saved.file_prior,
                 progress=step,
             )

@@ -312,10 +312,12 @@ def export_robot(
     motion: Patterns | None = None,
     motors: bool = True,
     systematic: SystematicError | None = None,
+    bodies: PhysicalParameters | None = None,
     file_weight: FileWeight | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> RobotExport:
-    """Write the possible parameters nearest to an identification into a copy of the robot's file.
+    """Write the physically consistent parameters of an identification into a copy of the robot's
+    file.
 
     Bodies that the robot's file fixes to a link keep their numbers. Motor inertias go to TOML's
     `motor_inertia`, MJCF's `armature` or, for URDF, a file beside it (`motor_file`).
@@ -329,8 +331,9 @@ def export_robot(
     - `motors`: whether joints have motor inertia where the network has it. False fixes it at zero:
       for a simulator that has none, at the cost of bodies that compensate it.
     - `systematic`: of the fit: added to the standard errors that movements are counted in.
-    - `file_weight`: of the fit, if the robot's file was a prior of it (`Report.file_prior`). What
-      the motion does not determine is then shared out as the file has it.
+    - `bodies`: of the identification (`Report.bodies`); those nearest to the fit if None.
+    - `file_weight`: of the fit, if the robot's file was a prior of it (`Report.file_prior`): its
+      coefficients then contain the file's values already.
     - `progress`: is called with a short text at the start of every step.
 
     **Returns** the parameters, the written file, and how well it reproduces their torque.
@@ -351,7 +354,6 @@ def export_robot(
     True
     """
     report = progress or (lambda _: None)
-    fixed = fixed_bodies(network.robot)
     if motion is None:
         q, qd, qdd = random_states(network.joint_count)
         mask = np.ones(q.shape, bool)
@@ -359,20 +361,43 @@ def export_robot(
     else:
         states = motion
     report("fitting physically consistent parameters")
-    prior = None if file_weight is None else FilePrior.of(network)
-    if prior is not None and file_weight is not None:
-        prior = prior.with_link_widths(file_weight.widths)
-    parameters = physical_parameters(
-        network,
-        fit,
-        None if prior is None else prior.bodies,
-        fixed=fixed,
-        patterns=states,
-        motors=motors,
-        confidence=None if prior is None else prior.confidence,
-    )
+    if bodies is None or not motors:
+        bodies = _nearest(network, fit, states, bodies, file_weight, motors)
+    parameters = bodies
     report("writing and reading again")
     written = write_robot(network, parameters, path, states=(states.q, states.qd, states.qdd))
     warnings = moved_bodies(network, fit, parameters, systematic, motors=motors)
     warnings += other_masses(network, parameters)
     return RobotExport(network, parameters, written, motion is not None, warnings)
+
+
+def _nearest(
+    network: CSLC,
+    fit: Identification,
+    states: Patterns,
+    bodies: PhysicalParameters | None,
+    file_weight: FileWeight | None,
+    motors: bool,
+) -> PhysicalParameters:
+    """Return the consistent parameters nearest to bodies or, without such, to a fit.
+
+    Of a fit with the robot's file as prior, the file decides only what no coefficient depends on:
+    it would count twice otherwise.
+    """
+    prior = None if file_weight is None else FilePrior.of(network)
+    if prior is not None and file_weight is not None:
+        prior = prior.as_tie_break(file_weight.widths)
+    if bodies is not None:
+        fit, links, confidence = fit.with_k(bodies.k), bodies.links, None
+    else:
+        links = None if prior is None else prior.bodies
+        confidence = None if prior is None else prior.confidence
+    return physical_parameters(
+        network,
+        fit,
+        links,
+        fixed=fixed_bodies(network.robot),
+        patterns=states,
+        motors=motors,
+        confidence=confidence,
+    )

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 import jaxcslc as jc
+from jaxcslc.export import export_robot
+from jaxcslc.report import load_report
 from scripts.tools.invoke import Result, invoke
 
 
@@ -204,3 +206,94 @@ def test_a_folder_that_is_a_file(arm: Path, tmp_path: Path) -> None:
     path = identification(derived(arm), tmp_path / "fit.json")
     for name, extra in (("out.toml", ()), ("out.c", ("--c",))):
         check_error(run(arm, path, "-o", path / name, *extra), "fit.json")
+
+
+@pytest.fixture(scope="module")
+def weak(tmp_path_factory: pytest.TempPathFactory) -> tuple[jc.Report, Path]:
+    """An arm of whose joints one moves a little: the file decides most of its bodies.
+
+    The arm is 20 % heavier than its file says, and its elbow's torque has an offset.
+    """
+    folder = tmp_path_factory.mktemp("weak")
+    slender = URDF.replace('"0.1" iyy="0.2" izz="0.2"', '"0.005" iyy="0.01" izz="0.01"')
+    (folder / "arm.urdf").write_text(slender)
+    robot = jc.load_robot(folder / "arm.urdf")
+    assert robot.links is not None
+    heavier = [
+        jc.LinkParameters(1.2 * link.mass, link.centre_of_gravity, 1.2 * link.inertia, 0.1)
+        for link in robot.links
+    ]
+    network = jc.derive(robot.with_friction("viscous", "dry", "offset"), lengths="numeric")
+    zeros = np.zeros(2)
+    k = network.coefficients_from(
+        heavier, viscous=zeros + 0.2, dry=zeros + 0.3, offset=np.array([0.0, 0.2])
+    )
+    rng = np.random.default_rng(4)
+    time = np.arange(1000) / 200
+    q = np.stack([0.3 * np.sin(3 * time), 0.2 * np.sin(2 * time + 1)], axis=1)
+    qd = np.stack([0.9 * np.cos(3 * time), 0.4 * np.cos(2 * time + 1)], axis=1)
+    qdd = np.stack([-2.7 * np.sin(3 * time), -0.8 * np.sin(2 * time + 1)], axis=1)
+    torque = np.asarray(network.torque(k, q, qd, qdd)) + 0.02 * rng.normal(size=q.shape)
+    recording = jc.Recording(time, q, torque)
+    report = jc.identify(network, recording, checks=False, progress=False)
+    report.save(folder / "result")
+    return report, folder
+
+
+def _masses(path: Path) -> list[float]:
+    links = jc.load_robot(path).links
+    assert links is not None
+    return [float(link.mass) for link in links]
+
+
+class TestBodies:
+    """Exported bodies are those of the report."""
+
+    def test_they_are_those_of_the_page(self, weak: tuple[jc.Report, Path]) -> None:
+        report, folder = weak
+        out = folder / "out.urdf"
+        result = run(folder / "arm.urdf", folder / "result", "-o", out, "--force")
+        assert result.exit_code == 0, result.output
+        page = [float(link.mass) for link in report.bodies.links]
+        np.testing.assert_allclose(_masses(out), page, rtol=1e-10)
+
+    def test_a_loaded_report_has_the_same(self, weak: tuple[jc.Report, Path]) -> None:
+        report, folder = weak
+        network, paths = report.network, [folder / f"{name}.urdf" for name in ("memory", "loaded")]
+        for some, path in zip((report, load_report(folder / "result")), paths, strict=True):
+            export_robot(network, some.fit, path, bodies=some.bodies, file_weight=some.file_prior)
+        assert paths[0].read_text() == paths[1].read_text()
+
+    def test_where_they_are_determined_they_are_the_identified_ones(
+        self, weak: tuple[jc.Report, Path]
+    ) -> None:
+        report, _ = weak
+        identified = np.asarray(report.possible.free.k)
+        change = np.abs(report.bodies.k - identified) / report.standard_errors
+        decided = report.file_prior.share < 0.5
+        assert 0 < np.sum(decided) < len(decided)
+        assert np.max(change[decided]) < 0.1
+
+    def test_the_file_counts_once(self, weak: tuple[jc.Report, Path]) -> None:
+        """Bodies that are computed from the coefficients, which contain the file, are the same."""
+        report, folder = weak
+        path, weight = folder / "anew.urdf", report.file_prior
+        export = export_robot(report.network, report.fit, path, file_weight=weight)
+        masses = [float(link.mass) for link in export.parameters.links]
+        page = [float(link.mass) for link in report.bodies.links]
+        np.testing.assert_allclose(masses, page, rtol=1e-2)
+
+    def test_links_absorb_motor_inertias(self, weak: tuple[jc.Report, Path]) -> None:
+        report, folder = weak
+        path = folder / "absorbed.urdf"
+        export = export_robot(report.network, report.fit, path, bodies=report.bodies, motors=False)
+        assert all(float(link.motor_inertia) > 0.0 for link in report.bodies.links)
+        assert not any(float(link.motor_inertia) for link in export.parameters.links)
+
+    def test_masses_are_no_further_from_the_truth_than_those_of_the_file(
+        self, weak: tuple[jc.Report, Path]
+    ) -> None:
+        report, folder = weak
+        file = np.array(_masses(folder / "arm.urdf"))
+        found = np.array([float(link.mass) for link in report.bodies.links])
+        assert np.all(np.abs(found - 1.2 * file) <= np.abs(0.2 * file) * 1.001)

@@ -196,3 +196,24 @@ def test_joints_that_disagree_show_no_clock(
     report = jc.identify(arm_of("UR5").network, slow, settings=settings, possible="never")
     size = float(report.systematic.within[CLOCK].split()[1])
     assert low <= size <= high
+
+
+def test_coefficients_of_a_joint_that_stands_still_have_no_part(
+    arm: tuple[jc.CSLC, np.ndarray, jc.Patterns],
+) -> None:
+    """Nothing depends on its friction: rounding, divided by rounding, was a part of 1e128."""
+    network, k, patterns = arm
+    still = np.array([1.0, 0.0])
+    q = np.asarray(patterns.q)
+    q, qd, qdd = (
+        q * still + np.array([0.0, 0.3]),
+        np.asarray(patterns.qd) * still,
+        np.asarray(patterns.qdd) * still,
+    )
+    torque = np.asarray(network.torque(k, q, qd, qdd))
+    patterns = dataclasses.replace(patterns, q=q, qd=qd, qdd=qdd, torque=torque)
+    parts = possible_faults(network, patterns, k, np.ones(network.size, bool)).parts
+    friction = [network.names.index(name) for name in ("kv2", "kd2")]
+    for part in parts.values():
+        assert np.all(part[friction] == 0.0)
+        assert np.max(part) < 10.0 * np.max(np.abs(k))

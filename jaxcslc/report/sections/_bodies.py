@@ -52,6 +52,27 @@ class PossibleSection(AbstractSection):
             **({} if bodies is None else {"bodies": _bodies(report, bodies)}),
         }
 
+    def result(self, name: str, report: AnyReport) -> Any:
+        if name != "bodies" or not self.entries.keys() <= self.data.keys():
+            return super().result(name, report)
+        judged, bodies = self.data["possible"], self.data["bodies"]
+        return PhysicalParameters.of_bodies(
+            report.network,
+            [
+                LinkParameters(
+                    float(link["mass"]),
+                    np.array(link["centre"], float),
+                    np.array(link["inertia"], float),
+                    float(link["motor_inertia"]),
+                )
+                for link in bodies["links"]
+            ],
+            np.array(judged["k"], float),
+            prior_weight=float(judged["prior_weight"]),
+            distance=float(judged["distance"]),
+            torque_distance=np.array(bodies["torque_distance"], float),
+        )
+
     def text(self, report: AnyReport) -> Iterator[Sequence[str]]:
         if "possible" in self.data:
             yield [possible_text(open_errors(self.data["possible"]))]
@@ -83,8 +104,7 @@ class PossibleSection(AbstractSection):
             " the fit, with the robot file's values where it has them. The motion determines only"
             " combinations of them; the rest follows the file or a prior. Frames are those of the"
             " file, without what it fixes to a body; inertia is about the centre of gravity."
-            " jaxcslc export computes bodies anew, from this report's coefficients, which contain"
-            " the file's values already. Its values can differ slightly from these.",
+            " jaxcslc export writes these values.",
             blocks,
         )
 
