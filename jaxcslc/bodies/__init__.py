@@ -38,7 +38,6 @@ from ._file_prior import (
 )
 from ._misfit import Misfit as Misfit, misfit_of as misfit_of
 from ._nearest_bodies import (
-    Fitted as Fitted,
     balls as balls,
     nearest_body as nearest_body,
     prior_of as prior_of,
@@ -65,6 +64,7 @@ from ._possible_fit import (
     possible_text as possible_text,
 )
 from ._prior import (
+    Fitted as Fitted,
     Known as Known,
     KnownRows as KnownRows,
     LinkKnowledge as LinkKnowledge,

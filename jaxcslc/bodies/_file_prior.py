@@ -12,6 +12,7 @@ from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
 
 from ..least_squares import Identification, LeastSquares
@@ -22,7 +23,7 @@ from ._body import MASS, body_map, body_of_pseudo_inertia, pseudo_inertia
 from ._misfit import misfit_of
 from ._nearest_bodies import Confidence, balls, ends_of, prior_of, reach_of
 from ._physical_parameters import body_names
-from ._prior import KnownRows, information_rows, with_knowledge
+from ._prior import KnownRows, with_knowledge
 
 
 WIDTH = 0.2
@@ -49,8 +50,11 @@ _INVENTED = 3.0
 _OTHER_MASS, _HALF = 1.65, 0.5
 # Mass is spread no further from its centre than to the next joint and this part of the reach.
 _WIDEST_SPREAD = 0.3
-# A link contradicts the data where they move it this many times further than its width explains.
+# A link is wider where data move it this many times further than its width explains.
 _FAR = 2.0
+# One recording in so many of an arm whose file is as wrong as files usually are may say that a link
+# contradicts the data.
+_CHANCE = 0.01
 _ROUNDS = 10
 # Links that data determine fewer combinations of contradict nothing.
 _FEWEST = 0.5
@@ -64,6 +68,23 @@ _ROUNDING = 1e-12
 _DIGITS = 1e-6
 # A link this much lighter than the median of the others has no mass in the file.
 _MASSLESS = 1e-3
+
+
+class Deviations(NamedTuple):
+    """Deviations of the data from a file, one per link.
+
+    - `sizes`: 0 where data are silent.
+    - `limits`: beyond which the size is by a chance of `_CHANCE` for all links together, if the
+      file's errors are what the prior says.
+    """
+
+    sizes: Float[np.ndarray, " links"]
+    limits: Float[np.ndarray, " links"]
+
+    @property
+    def beyond_chance(self) -> Bool[np.ndarray, " links"]:
+        """True for links that data contradict."""
+        return np.abs(self.sizes) > self.limits
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -89,6 +110,7 @@ class FilePrior:
       coefficients, and of offsets of which nothing is known.
     - `widths`: (n,) standard deviation of each link, as a part of it.
     - `correlation`: times that errors of a fit exceed those of independent samples, as variances.
+    - `bias`: (p,) systematic error of a fit by smoothing; None where there is none.
     - `names`: of links; `guessed`, `invented`: links without inertia, and with the inertia of
       another link; `implausible`: with mass further out than the link is long, which is cut off.
 
@@ -113,6 +135,7 @@ class FilePrior:
     invented: tuple[str, ...] = ()
     implausible: tuple[str, ...] = ()
     correlation: float = 1.0
+    bias: Float[np.ndarray, " coefficients"] | None = None
 
     @classmethod
     def of(cls, network: CSLC) -> "FilePrior | None":
@@ -187,7 +210,12 @@ class FilePrior:
         of_links = np.array([widths.get(name, width) for name, width in known])
         return dataclasses.replace(self, widths=of_links).scaled(_LOOSE)
 
-    def of_fit(self, network: CSLC, fit: Identification) -> "FilePrior":
+    def of_fit(
+        self,
+        network: CSLC,
+        fit: Identification,
+        bias: Float[np.ndarray, " coefficients"] | None = None,
+    ) -> "FilePrior":
         """Return the prior of what a fit shows to be known of errors: their correlation, and sizes
         of torque offsets.
 
@@ -197,19 +225,23 @@ class FilePrior:
 
         - `network`: of the fit.
         - `fit`: without the prior.
+        - `bias`: its systematic error by smoothing; None without. Where it exceeds the noise, as
+          of short movements, the file would be overruled by it.
         """
         errors = np.zeros(len(fit.names))
         size = np.asarray(fit.torque_error)
         for joint, (offset, dry) in _offsets_and_dry(network).items():
             errors[offset] = np.hypot(size[joint], 0.0 if dry is None else float(fit.k[dry]))
         prior = self.of_names(fit.names)
-        return dataclasses.replace(prior, offset_errors=errors, correlation=correlation_of(fit))
+        return dataclasses.replace(
+            prior, offset_errors=errors, correlation=correlation_of(fit), bias=bias
+        )
 
     @property
     def confidence(self) -> Confidence:
         """Errors of the file's bodies, as the programme of nearest bodies has them."""
         changes = self.changes * (self.widths / WIDTH)[:, None, None]
-        return Confidence(changes, self.motor_errors, self.offset_errors, WIDTH, self.correlation)
+        return Confidence(changes, self.motor_errors, self.offset_errors, WIDTH, self.rows)
 
     @property
     def covariance(self) -> Float[np.ndarray, "coefficients coefficients"]:
@@ -228,6 +260,10 @@ class FilePrior:
         motors = np.zeros((size, len(self.links)))
         motors[:p] = self.motors[:p]
         offsets = dict(zip(self.coefficients, self.offset_errors.tolist(), strict=True))
+        bias = self.bias
+        if bias is not None:
+            of_names = dict(zip(self.coefficients, bias.tolist(), strict=True))
+            bias = np.array([of_names.get(name, 0.0) for name in names])
         return dataclasses.replace(
             self,
             coefficients=names,
@@ -236,6 +272,7 @@ class FilePrior:
             motors=motors,
             inertial=inertial,
             offset_errors=np.array([offsets.get(name, 0.0) for name in names]),
+            bias=bias,
         )
 
     @cached_property
@@ -249,7 +286,7 @@ class FilePrior:
         kept = values > _ROUNDING * values[-1:]
         matrix = np.zeros((int(np.sum(kept)), len(self.mean)))
         matrix[:, some] = vectors[:, kept].T / np.sqrt(values[kept])[:, None] / sizes
-        return KnownRows(matrix, matrix @ self.mean, self.correlation)
+        return KnownRows(matrix, matrix @ self.mean, self.correlation, self.bias)
 
     def share(self, fit: Identification) -> Float[np.ndarray, " coefficients"]:
         """Return how much of each coefficient is the file's, from 0 to 1.
@@ -270,7 +307,7 @@ class FilePrior:
     def _posterior(self, fit: Identification) -> Float[np.ndarray, "coefficients coefficients"]:
         """Covariance of coefficients under the prior, errors of the fit as if independent."""
         rows = self.rows
-        white = information_rows(fit, np.asarray(fit.k)) / np.sqrt(rows.correlation)
+        white = rows.rows_of(fit)
         total = white.T @ white + rows.matrix.T @ rows.matrix
         sizes = np.sqrt(np.diag(total))
         sizes = np.where(sizes > 0.0, sizes, 1.0)
@@ -286,7 +323,7 @@ class FilePrior:
         change = np.asarray(with_knowledge(fit, {}, self.rows).k) - self.mean
         return precision @ change, precision - precision @ self._posterior(fit) @ precision
 
-    def deviations(self, fit: Identification) -> Float[np.ndarray, " links"]:
+    def deviations(self, fit: Identification) -> "Deviations":
         """Return how far data move each link, over what its width explains; 0 if they do not.
 
         The root of the squared deviation over the number of combinations that data determine, as
@@ -295,18 +332,25 @@ class FilePrior:
         - `fit`: without the prior.
         """
         precise, told = self._told(fit)
-        result = np.zeros(len(self.widths))
+        sizes, limits = np.zeros((2, len(self.widths)))
         for i, (link, width) in enumerate(zip(self.links, self.widths, strict=True)):
             root = width * link
             deviation = root.T @ precise
-            number = float(np.trace(root.T @ told @ root))
+            # Its covariance, if the prior is right.
+            covariance = root.T @ told @ root
+            number = float(np.trace(covariance))
             if number > _FEWEST:
-                result[i] = np.sqrt(float(deviation @ deviation) / number)
-        return result
+                sizes[i] = np.sqrt(float(deviation @ deviation) / number)
+                # The sum of squares is nearly a chi-square of so many (Satterthwaite 1946).
+                freedom = number**2 / float(np.sum(covariance**2))
+                level = 1.0 - _CHANCE / len(self.widths)
+                limits[i] = np.sqrt(scipy.stats.chi2.ppf(level, freedom) / freedom)
+        return Deviations(sizes, limits)
 
-    def mass_factors(self, fit: Identification) -> Float[np.ndarray, " links_and_all"]:
-        """Return factors of each link's mass, and of all, that the data ask for; 1 where they are
-        silent.
+    def mass_factors(self, fit: Identification) -> "Deviations":
+        """Return factors of each link's mass, and of all, less 1, that the data ask for.
+
+        They are 0 where data are silent.
 
         - `fit`: without the prior.
         """
@@ -315,34 +359,44 @@ class FilePrior:
         wholes = np.zeros((len(self.widths), 10))
         wholes[:, 0] = 1.0 / self.widths
         single = np.eye(len(wholes))[:, :, None] * wholes
-        factors: list[float] = []
+        directions = (*single, wholes)
+        quantile = float(scipy.stats.norm.isf(0.5 * _CHANCE / len(directions)))
+        factors, limits = np.zeros((2, len(directions)))
         roots = self.links * self.widths[:, None, None]
-        for direction in (*single, wholes):
+        for i, direction in enumerate(directions):
             length = float(np.sum(direction**2))
             along = np.einsum("lpc,lc->p", roots, direction) / np.sqrt(length)
             share = float(along @ told @ along)
-            moved = float(along @ precise) / np.sqrt(length)
-            factors.append(1.0 + moved / share if share > _HALF else 1.0)
-        return np.array(factors)
+            if share > _HALF:
+                factors[i] = float(along @ precise) / np.sqrt(length) / share
+                limits[i] = quantile / np.sqrt(length * share)
+        return Deviations(factors, limits)
 
     def widened(self, fit: Identification) -> tuple["FilePrior", tuple[str, ...]]:
-        """Return the prior, wider for links that data contradict, and their names.
+        """Return the prior, wider for links that data may contradict, and the names of those that
+        they contradict beyond chance.
 
         - `fit`: without the prior.
         """
-        factors = self.mass_factors(fit)
-        other = (factors > _OTHER_MASS) | (factors < 1.0 / _OTHER_MASS)
-        named = other[:-1] | bool(other[-1])
-        wider = np.where(named, np.maximum(np.abs(factors[:-1] - 1.0), _INVENTED * WIDTH), 0.0)
+        masses = self.mass_factors(fit)
+        other = (masses.sizes > _OTHER_MASS - 1.0) | (masses.sizes < 1.0 / _OTHER_MASS - 1.0)
+        certain = other & masses.beyond_chance
+        named = certain[:-1] | bool(certain[-1])
+        wider = np.where(
+            other[:-1] | bool(other[-1]),
+            np.maximum(np.abs(masses.sizes[:-1]), _INVENTED * WIDTH),
+            0.0,
+        )
         prior = dataclasses.replace(self, widths=np.maximum(self.widths, wider))
         for _ in range(_ROUNDS):
-            far = prior.deviations(fit)
-            if not np.any(far > _FAR):
+            deviations = prior.deviations(fit)
+            far = deviations.sizes > _FAR
+            if not np.any(far):
                 break
-            named |= far > _FAR
-            wider = np.where(far > _FAR, prior.widths * far, prior.widths)
+            named |= far & deviations.beyond_chance
+            wider = np.where(far, prior.widths * deviations.sizes, prior.widths)
             prior = dataclasses.replace(prior, widths=np.minimum(wider, _WIDEST))
-            if np.all(prior.widths[far > _FAR] >= _WIDEST):
+            if np.all(prior.widths[far] >= _WIDEST):
                 break
         return prior, tuple(compress(self.names, named))
 
@@ -435,31 +489,38 @@ class ChosenPrior(NamedTuple):
     prior: FilePrior
     weight: FileWeight
 
-    def of_fit(self, fit: Identification) -> "ChosenPrior":
+    def of_fit(self, fit: Identification, *, smoothed: bool = True) -> "ChosenPrior":
         """Return the prior of another fit without it, of the same robot.
 
         Coefficients that are not inertial may differ.
+
+        - `smoothed`: whether the fit has the bias of smoothing.
         """
         prior = self.prior.of_names(fit.names)
         correlation = self.weight.misfit * correlation_of(fit)
-        prior = dataclasses.replace(prior, correlation=correlation)
+        bias = prior.bias if smoothed else None
+        prior = dataclasses.replace(prior, correlation=correlation, bias=bias)
         return ChosenPrior(prior, dataclasses.replace(self.weight, share=prior.share(fit)))
 
 
 def chosen_prior(
-    network: CSLC, patterns: Patterns, solver: LeastSquares, fit: Identification
+    network: CSLC,
+    patterns: Patterns,
+    solver: LeastSquares,
+    fit: Identification,
+    bias: Float[np.ndarray, " coefficients"] | None = None,
 ) -> ChosenPrior | None:
     """Return the robot's file as prior of a fit; None if the file has none.
 
     Its weight follows from the misfit of both (`misfit_of`), and from what the data contradict.
 
     - `patterns`: that the fit is of, or a part of them.
-    - `fit`: of `solver`, without the prior.
+    - `fit`: of `solver`, without the prior; `bias`: as of `FilePrior.of_fit`.
     """
     prior = FilePrior.of(network)
     if prior is None:
         return None
-    prior = prior.of_fit(network, fit)
+    prior = prior.of_fit(network, fit, bias)
     misfit = misfit_of(network, patterns, solver, fit, prior.rows)
     prior = dataclasses.replace(
         prior.scaled(np.sqrt(misfit.prior)), correlation=misfit.data * prior.correlation

@@ -20,7 +20,7 @@ from ..least_squares import (
 )
 from ..network import CSLC
 from ..recordings import Patterns
-from ._prior import KnownRows, information_rows
+from ._prior import KnownRows
 
 
 # Misfits of the data that are tried, as factors of variances. A thousandfold leaves a usual
@@ -156,7 +156,7 @@ class _Axes(NamedTuple):
 
 def _axes(fit: FoldFit, prior: KnownRows) -> _Axes:
     """Return the axes of a fit and a prior."""
-    rows = information_rows(fit, fit.k) / np.sqrt(prior.correlation)
+    rows = prior.rows_of(fit)
     total = rows.T @ rows + prior.matrix.T @ prior.matrix
     sizes = np.sqrt(np.diag(total))
     sizes = np.where(sizes > 0.0, sizes, 1.0)

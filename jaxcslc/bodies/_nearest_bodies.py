@@ -8,10 +8,10 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from .._environment import require
 from .._rank import numerical_rank
@@ -30,19 +30,15 @@ from ._body import (
     pseudo_inertia,
 )
 from ._principal_programme import BodyChart, nearest_in_charts
-from ._prior import FINEST, LinearKnowledge, LinkKnowledge, body_form, linear_knowledge
-
-
-@runtime_checkable
-class Fitted(Protocol):
-    """Coefficients and their uncertainty: what an `Identification` and its file share."""
-
-    @property
-    def k(self) -> Float[Array | np.ndarray, " coefficients"]: ...
-    @property
-    def covariance(self) -> Float[Array | np.ndarray, "coefficients coefficients"]: ...
-    @property
-    def undetermined(self) -> Float[Array | np.ndarray, "rows coefficients"]: ...
+from ._prior import (
+    FINEST,
+    Fitted,
+    KnownRows,
+    LinearKnowledge,
+    LinkKnowledge,
+    body_form,
+    linear_knowledge,
+)
 
 
 def whitening(
@@ -458,14 +454,14 @@ class Confidence(NamedTuple):
     - `motors`: (n,) standard errors of motor inertias.
     - `offsets`: (p,) standard errors of torque offsets about zero; 0 of all other coefficients.
     - `width`: standard error of each change.
-    - `correlation`: times that errors of a fit exceed those of independent samples, as variances.
+    - `rows`: the prior as equations of coefficients, and how a fit is weighed against it.
     """
 
     changes: Float[np.ndarray, "links 10 10"]
     motors: Float[np.ndarray, " links"]
     offsets: Float[np.ndarray, " coefficients"]
     width: float
-    correlation: float
+    rows: KnownRows
 
 
 WEAK = 0.01
@@ -562,10 +558,10 @@ class NearestBodies:
             masses = [float(link.mass) for link in links if float(link.mass) > 0]
             ball = balls(robot, float(np.mean(masses or [1.0])))
             prior_bodies = prior_of(robot, links, ball, fixed_bodies)
-        known, white_scale = prior_bodies.motors > 0, 1.0
+        known = prior_bodies.motors > 0
         if confidence is not None:
             known = np.ones(robot.joint_count, bool)
-            weight, white_scale = 1.0 / confidence.width, confidence.correlation**-0.5
+            weight = 1.0 / confidence.width
             prior_bodies = dataclasses.replace(
                 prior_bodies, motor_scales=confidence.motors / confidence.width
             )
@@ -591,7 +587,9 @@ class NearestBodies:
         return cls(
             robot=robot,
             k=k,
-            whitening=white_scale * whitening(fit, np.where(typical > 0, typical, 1.0)),
+            whitening=whitening(fit, np.where(typical > 0, typical, 1.0))
+            if confidence is None
+            else confidence.rows.rows_of(fit),
             fixed=fixed_bodies,
             prior=prior_bodies,
             changes=None if confidence is None else confidence.changes,

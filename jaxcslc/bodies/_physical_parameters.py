@@ -20,8 +20,8 @@ from ..manipulator import TENSOR_ENTRIES, LinkParameters, Manipulator, seen_from
 from ..network import CSLC
 from ..recordings import Patterns
 from ._body import bodies_of, body_of, constrained, link_of
-from ._nearest_bodies import WEAK, Confidence, Fitted, NearestBodies, by_discrepancy
-from ._prior import LinkKnowledge
+from ._nearest_bodies import WEAK, Confidence, NearestBodies, by_discrepancy
+from ._prior import Fitted, LinkKnowledge
 
 
 if TYPE_CHECKING:

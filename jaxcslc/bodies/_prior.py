@@ -8,13 +8,13 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, overload
+from typing import Any, NamedTuple, Protocol, overload, runtime_checkable
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import scipy
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from .._plain_data import toml_document
 from .._rank import null_vectors, pseudo_inverse
@@ -374,17 +374,37 @@ _SMALLEST = 1e-9
 FINEST = 1e-6
 
 
+@runtime_checkable
+class Fitted(Protocol):
+    """Coefficients and their uncertainty: what an `Identification` and its file share."""
+
+    @property
+    def k(self) -> Float[Array | np.ndarray, " coefficients"]: ...
+    @property
+    def covariance(self) -> Float[Array | np.ndarray, "coefficients coefficients"]: ...
+    @property
+    def undetermined(self) -> Float[Array | np.ndarray, "rows coefficients"]: ...
+
+
 class KnownRows(NamedTuple):
     """Knowledge of combinations of coefficients, in units of its standard error.
 
     - `matrix`, `target`: `matrix @ k` should equal the target.
     - `correlation`: times that errors of a fit exceed those of independent samples, as variances,
       where it is weighed against this knowledge.
+    - `bias`: (p,) systematic error of a fit, of either sign and of this size by one standard
+      deviation, where it is weighed; None without.
     """
 
     matrix: Float[np.ndarray, "rows coefficients"]
     target: Float[np.ndarray, " rows"]
     correlation: float
+    bias: Float[np.ndarray, " coefficients"] | None = None
+
+    def rows_of(self, fit: Fitted) -> Float[np.ndarray, "rank coefficients"]:
+        """Return the rows of a fit (`information_rows`) that have the weight of its errors."""
+        white = information_rows(fit, np.asarray(fit.k, float)) / np.sqrt(self.correlation)
+        return _with_bias(white, self.bias)
 
 
 @overload
@@ -426,7 +446,7 @@ def with_knowledge(
     fixed = np.array([i for i, entry in known.items() if entry.fixed], int)
     free = np.setdiff1d(np.arange(len(k)), fixed)
     values = np.array([known[i].value for i in fixed], float)
-    white = information_rows(fit, k)
+    white = information_rows(fit, k) if rows is None else rows.rows_of(fit)
     soft = [(i, entry) for i, entry in known.items() if entry.error > 0.0]
     prior = np.zeros((len(soft), len(k)))
     target = np.zeros(len(soft))
@@ -434,7 +454,6 @@ def with_knowledge(
         prior[row, i] = 1.0 / entry.error
         target[row] = float(entry.value or 0.0) / entry.error
     if rows is not None:
-        white = white / np.sqrt(rows.correlation)
         prior = np.concatenate([prior, rows.matrix])
         target = np.concatenate([target, rows.target])
     start = k.copy()
@@ -488,7 +507,7 @@ def with_knowledge(
 
 
 def information_rows(
-    fit: Identification | FoldFit, k: Float[np.ndarray, " coefficients"]
+    fit: Fitted, k: Float[np.ndarray, " coefficients"]
 ) -> Float[np.ndarray, "rank coefficients"]:
     """Return rows whose product with a change of coefficients `k` is that of the fit's equations.
 
@@ -497,7 +516,7 @@ def information_rows(
     A change is one within the covariance's range and one that the fit leaves open. The former
     counts by the inverse of the covariance, the latter not at all. Neither rank is guessed.
     """
-    independent = fit.independent_covariance if isinstance(fit, Identification) else fit.covariance
+    independent = getattr(fit, "independent_covariance", fit.covariance)
     covariance, open_rows = np.asarray(independent, float), np.asarray(fit.undetermined, float)
     open_rows = open_rows[np.linalg.norm(open_rows, axis=1) > 0.0]
     rank = len(k) - len(open_rows)
@@ -512,6 +531,23 @@ def information_rows(
     # Of an indefinite covariance, what is below rounding is rounding.
     rows = parts[:rank] / np.sqrt(np.maximum(values[len(k) - rank :], FINEST**2))[:, None]
     return np.where(rounding, 0.0, rows / units)
+
+
+def _with_bias(
+    white: Float[np.ndarray, "rank coefficients"], bias: Float[np.ndarray, " coefficients"] | None
+) -> Float[np.ndarray, "rank coefficients"]:
+    """Return rows in units of an error that includes a bias of unknown sign.
+
+    The covariance C of their changes becomes C + b bᵀ, with b the bias in units of the error: the
+    rows are multiplied by (1 + b bᵀ)^(-1/2).
+    """
+    if bias is None:
+        return white
+    moved = white @ bias
+    square = float(moved @ moved)
+    if square == 0.0:
+        return white
+    return white - np.outer(moved, moved @ white) * (1.0 - 1.0 / np.sqrt(1.0 + square)) / square
 
 
 def _within_bounds(

@@ -17,7 +17,6 @@ from ..uncertainty import (
     HeldOut,
     SeveralFit,
     SystematicError,
-    SystematicProblem,
     cross_validated_error,
     fit_recordings,
     fold_numbers,
@@ -202,16 +201,15 @@ def _systematic_errors(
     - `share`: what coefficients change by with those of a fit without prior knowledge.
     """
     (first, *_) = problem.recordings
-    listed = problem.recordings if problem.part is None else {first: problem.part}
     fits = {first: identification} if several is None else several.alone
     return {
-        name: SystematicProblem.of(problem.network, x.recording, x.settings, x.derivatives).error(
+        name: systematic.error(
             np.asarray(fits[name].k),
             np.asarray(fits[name].determined),
             problem.request.groups,
             share,
         )
-        for name, x in listed.items()
+        for name, systematic in problem.systematic_problems().items()
     }
 
 

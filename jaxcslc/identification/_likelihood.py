@@ -424,7 +424,7 @@ def _regression(base: Judged, patterns: Patterns) -> Fit:
     if bodies is None or not bodies.used:
         return result
     weight = bodies.parameters.prior_weight
-    return _with_k(result, _possible(problem, network, unaided, weight))
+    return _with_k(result, _possible(problem, network, unaided, weight, smoothed=True))
 
 
 def _presliding_distance(base: Judged) -> Float[np.ndarray, " joints"]:
@@ -432,16 +432,18 @@ def _presliding_distance(base: Judged) -> Float[np.ndarray, " joints"]:
     return (base.yielding or base.fit).presliding_distance
 
 
-def _file_prior(problem: Problem, fit: Identification) -> ChosenPrior | None:
-    """The robot's file as it enters a fit of maximum likelihood."""
-    return None if problem.file is None else problem.file.of_fit(fit)
+def _file_prior(
+    problem: Problem, fit: Identification, *, smoothed: bool = False
+) -> ChosenPrior | None:
+    """The robot's file as it enters a fit: of maximum likelihood, or of smoothed motion."""
+    return None if problem.file is None else problem.file.of_fit(fit, smoothed=smoothed)
 
 
 def _informed(problem: Problem, fit: Identification, network: CSLC) -> Identification:
     """A fit of maximum likelihood with what is known, unless its search knew it."""
     if problem.request.likelihood_options.prior is not None:
         return fit
-    return problem.informed(fit, problem.known_of(network))
+    return problem.informed(fit, problem.known_of(network), smoothed=False)
 
 
 def _known(problem: Problem, fit: Identification, network: CSLC) -> Identification:
@@ -461,14 +463,21 @@ def _predicted(
     return _possible(problem, network, base, bodies.parameters.prior_weight)
 
 
-def _possible(problem: Problem, network: CSLC, fit: Identification, weight: float) -> np.ndarray:
+def _possible(
+    problem: Problem,
+    network: CSLC,
+    fit: Identification,
+    weight: float,
+    *,
+    smoothed: bool = False,
+) -> np.ndarray:
     """Coefficients of the bodies nearest to a fit, with the prior's weight of other bodies.
 
-    - `fit`: without the robot's file as prior.
+    - `fit`: without the robot's file as prior; `smoothed`: whether it is of smoothed motion.
     """
     robot, prior = network.robot, problem.request.prior
     knowledge = () if prior is None else prior.link_values(robot)
-    file = _file_prior(problem, fit)
+    file = _file_prior(problem, fit, smoothed=smoothed)
     return possible_coefficients(
         network,
         fit,

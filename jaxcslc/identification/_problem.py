@@ -49,7 +49,7 @@ from ..selection import (
     sections_of,
     selection_with_motion,
 )
-from ..uncertainty import FOLDS
+from ..uncertainty import FOLDS, SystematicProblem, smoothing_bias
 from ._exclusions import Request
 
 
@@ -132,6 +132,7 @@ class Problem:
     - `slopes`, `load`: fits of static friction and of friction that follows the load.
     - `file`: the robot's file as prior; None without inertia in it, or where it is not asked for.
     - `alone`: the fit of `judged_patterns` that the file was weighed with; None without.
+    - `systematic`: by recording, its systematic errors' problem, if the file was weighed with it.
     - `start`: coefficients that a search starts from.
     - `begun`: waits for fits that another process has begun with (`AbstractEstimator.beside`).
     - `warnings`: about recordings and settings; `notes`: what readers decided.
@@ -150,6 +151,7 @@ class Problem:
     load: LoadFit | None = None
     file: ChosenPrior | None = None
     alone: Identification | None = None
+    systematic: Mapping[str, SystematicProblem] | None = None
     start: Identification | None = None
     begun: Callable[[], Any] | None = None
     warnings: tuple[str, ...] = ()
@@ -200,17 +202,34 @@ class Problem:
         """Training recordings by name, torques without the lag that settings say."""
         return {name: without_lag(x.recording, self.lag) for name, x in self.recordings.items()}
 
+    def systematic_problems(self) -> Mapping[str, SystematicProblem]:
+        """Return problems of the systematic errors of recordings, or of the part that is judged."""
+        if self.systematic is not None:
+            return self.systematic
+        (first, *_) = self.recordings
+        listed = self.recordings if self.part is None else {first: self.part}
+        return {
+            name: SystematicProblem.of(self.network, x.recording, x.settings, x.derivatives)
+            for name, x in listed.items()
+        }
+
     def informed(
-        self, fit: Identification, known: Mapping[int, Known] | None = None
+        self,
+        fit: Identification,
+        known: Mapping[int, Known] | None = None,
+        *,
+        smoothed: bool = True,
     ) -> Identification:
         """Return a fit with what is known beforehand, by the robot's file and by the request.
 
         - `known`: coefficients that are known; those of `network` if None.
+        - `smoothed`: whether the fit is of smoothed motion.
         """
         known = self.known if known is None else known
         if self.file is None:
             return with_knowledge(fit, known)
-        return with_knowledge(fit, known, self.file.of_fit(fit).prior.rows)
+        file = self.file.of_fit(fit, smoothed=smoothed)
+        return with_knowledge(fit, known, file.prior.rows)
 
     def informed_part(self, part: JudgedPart) -> JudgedPart:
         """Return a part of the motion whose fit knows what is known beforehand."""
@@ -363,12 +382,20 @@ def with_file_prior(problem: Problem) -> Problem:
     fit = problem.solver.fit(problem.network, patterns, throw=False)
     if not np.all(np.isfinite(np.asarray(fit.k))):
         return problem
-    file = chosen_prior(problem.network, patterns, problem.solver, fit)
+    systematic = problem.systematic_problems()
+    bias = smoothing_bias(list(systematic.values()), np.asarray(fit.k))
+    if not np.all(np.isfinite(bias)):
+        bias = None
+    file = chosen_prior(problem.network, patterns, problem.solver, fit, bias)
     warnings = () if file is None else file.weight.warnings
     # Of too few equations, the estimator's own fit raises.
     alone = None if bool(fit.result == RESULTS.no_equations) else fit
     return dataclasses.replace(
-        problem, file=file, alone=alone, warnings=(*problem.warnings, *warnings)
+        problem,
+        file=file,
+        alone=alone,
+        systematic=systematic,
+        warnings=(*problem.warnings, *warnings),
     )
 
 

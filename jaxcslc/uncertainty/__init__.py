@@ -34,6 +34,7 @@ from ._systematic_error import (
     SystematicError as SystematicError,
     SystematicProblem as SystematicProblem,
     missing_terms as missing_terms,
+    smoothing_bias as smoothing_bias,
     standard_uncertainty as standard_uncertainty,
     systematic_error as systematic_error,
     uncertainty_interval as uncertainty_interval,

@@ -351,9 +351,9 @@ class SystematicProblem:
         if groups is not None:
             free = Fixed.except_for(network, k, groups).free
         torque = self._torque(k)
-        again = self.again.with_torque(torque, patterns, solver.cutoff)
         problem = WeightedEquations.of(part_of(self.equations, free, k), k[list(free)], solver)
-        shifts = {"smoothing": problem.solution(part_of(again, free, k)).k - k[list(free)]}
+        again = part_of(self.smoothed_again(k), free, k)
+        shifts = {"smoothing": problem.solution(again).k - k[list(free)]}
         # Half a sample of `"mean"` alignment.
         late = 0.5 * np.diff(torque, axis=0, prepend=torque[:1])
         late = self.equations.with_torque(late, patterns, solver.cutoff)
@@ -376,6 +376,10 @@ class SystematicProblem:
             parts[cause] = np.where(determined, np.abs(every), 0.0)
         return SystematicError(MappingProxyType(parts))
 
+    def smoothed_again(self, k: Float[np.ndarray, " coefficients"]) -> Equations:
+        """Return the equations of the smoothed motion, smoothed once more, and of its torque."""
+        return self.again.with_torque(self._torque(k), self.patterns, self.settings.solver.cutoff)
+
     def _torque(self, k: Float[np.ndarray, " coefficients"]) -> Float[np.ndarray, "samples joints"]:
         """Return the torque that coefficients predict for the smoothed motion.
 
@@ -389,6 +393,30 @@ class SystematicProblem:
         if preparation.smooth_torque:
             torque = preparation.smoothing.low_pass(np.asarray(self.whole.time), torque)
         return torque[self.inside]
+
+
+def smoothing_bias(
+    problems: Sequence[SystematicProblem], k: Float[np.ndarray, " coefficients"]
+) -> Float[np.ndarray, " coefficients"]:
+    """Return the change of a fit to all recordings by smoothing their motion once more.
+
+    It is signed; `systematic_error` has the size, where the fit determines it.
+
+    - `problems`: one per recording; `k`: of the fit.
+    """
+    free = tuple(range(len(k)))
+    before = _together([part_of(some.equations, free, k) for some in problems])
+    again = _together([part_of(some.smoothed_again(k), free, k) for some in problems])
+    return WeightedEquations.of(before, k, problems[0].settings.solver).solution(again).k - k
+
+
+def _together(parts: Sequence[Equations]) -> Equations:
+    """Return the equations of several recordings as those of one, samples of all numbered."""
+    if len(parts) == 1:
+        return parts[0]
+    rows = (np.concatenate(some) for some in zip(*(part.rows for part in parts), strict=True))
+    samples = zip(*(part.sample for part in parts), strict=True)
+    return Equations(parts[0].unknowns, tuple(rows), tuple(map(np.concatenate, samples)))
 
 
 def _exact_derivatives(

@@ -137,6 +137,28 @@ class TestDetermined:
             assert change / step == pytest.approx(share[index], abs=1e-4)
 
 
+class TestBias:
+    def test_it_is_a_part_of_the_covariance(self, network: jc.CSLC) -> None:
+        fit = jc.LeastSquares().fit(network, patterns_of(network, "rich"))
+        error = np.asarray(fit.standard_error)
+        bias = 3.0 * error * np.random.default_rng(2).standard_normal(len(error))
+        prior = dataclasses.replace(prior_of(network), correlation=4.0, bias=bias)
+        rows = prior.rows.rows_of(fit)
+        expected = 4.0 * np.asarray(fit.independent_covariance) + np.outer(bias, bias)
+        size = np.sqrt(np.diag(expected))
+        found = np.linalg.inv((rows * size).T @ (rows * size))
+        assert_allclose(found, expected / np.outer(size, size), atol=1e-5)
+
+    def test_the_file_decides_along_a_large_one(self, network: jc.CSLC) -> None:
+        """A fit that is off by its bias: the posterior is that of data without this direction."""
+        fit = jc.LeastSquares().fit(network, patterns_of(network, "rich"))
+        bias = prior_of(network).mean * 0.1
+        wrong_fit = fit.with_k(np.asarray(fit.k) + 100.0 * bias)
+        prior = dataclasses.replace(prior_of(network), bias=1e4 * bias)
+        k, off = (with_knowledge(each, {}, prior.rows).k for each in (fit, wrong_fit))
+        assert np.max(np.abs(np.asarray(off) - np.asarray(k))) < 0.02 * np.max(np.abs(bias))
+
+
 @pytest.fixture(scope="module")
 def wider(robot: jc.Manipulator) -> jc.CSLC:
     terms = ("viscous", "dry", "offset")
@@ -208,6 +230,22 @@ class TestWrongFiles:
     def test_a_right_file_is_not_contradicted(self, network: jc.CSLC) -> None:
         fit = jc.LeastSquares().fit(network, patterns_of(network, "rich"))
         assert prior_of(network).widened(fit)[1] == ()
+
+    def test_files_that_are_usually_wrong_are_rarely_contradicted(self, network: jc.CSLC) -> None:
+        """Arms that are drawn from the prior: one in a hundred by each of two rules."""
+        fit = jc.LeastSquares().fit(network, patterns_of(network, "slow"))
+        prior, rng = prior_of(network), np.random.default_rng(5)
+        roots = prior.links * prior.widths[:, None, None]
+        noise = np.linalg.cholesky(
+            np.asarray(fit.independent_covariance) + 1e-12 * np.eye(network.size)
+        )
+        named = 0
+        for _ in range(20):
+            truth = prior.mean + np.einsum("lpc,lc->p", roots, rng.standard_normal((6, 10)))
+            truth = truth + prior.motors @ rng.standard_normal(6)
+            k = truth + noise @ rng.standard_normal(network.size)
+            named += bool(prior.widened(fit.with_k(k))[1])
+        assert named <= 2  # 0.4 are expected
 
     def test_inertia_beyond_the_link_is_cut_off(self, network: jc.CSLC) -> None:
         links = list(network.robot.links or ())

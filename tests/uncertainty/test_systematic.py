@@ -15,6 +15,8 @@ from jaxcslc.report import verdicts
 from jaxcslc.uncertainty import (
     TOLERATED,
     SystematicError,
+    SystematicProblem,
+    smoothing_bias,
     standard_uncertainty,
     systematic_error,
     uncertainty_interval,
@@ -83,8 +85,13 @@ def test_smoothing_of_a_sinusoid(arm: jc.CSLC) -> None:
     angle = w * INTERVAL
     spline = 6.0 * (2.0 - 2.0 * np.cos(angle)) / (angle**2 * (4.0 + 2.0 * np.cos(angle)))
     gain = (np.sin(angle) / angle) ** 2 / (1.0 + warped**8) / spline
+    expected = np.asarray(fit.k) * (1.0 / gain - 1.0)
     shift = systematic_error(network, recording, settings, fit).parts["smoothing"]
-    assert_allclose(shift, np.asarray(fit.k) * (1.0 / gain - 1.0), rtol=1e-3)
+    assert_allclose(shift, expected, rtol=1e-3)
+    # Signed, and of two recordings that of both.
+    problem = SystematicProblem.of(network, recording, settings)
+    for count in (1, 2):
+        assert_allclose(smoothing_bias([problem] * count, np.asarray(fit.k)), expected, rtol=1e-3)
 
 
 def test_smoothing_once_more_sees_the_reversals_of_the_recording(arm: jc.CSLC) -> None:
