@@ -63,7 +63,7 @@ def test_init_decides_and_commands_need_no_more(folder: Path) -> None:
         "fixed:      grip: not in the log (fix)",
         "joints:     shoulder, elbow",
         "samples:    4000 in 7.998 s, 500 Hz",
-        "friction:   viscous, dry at every joint (friction)",
+        "friction:   viscous, dry; identify adds torque offsets that help",
         "wrote jaxcslc.toml",
     ):
         assert text in result.output
@@ -72,7 +72,6 @@ def test_init_decides_and_commands_need_no_more(folder: Path) -> None:
     assert document == {
         "robot": "arm.urdf",
         "fix": ["grip"],
-        "friction": ["viscous", "dry"],
         "columns": {
             "time": {"columns": "stamp_ms", "unit": "ms"},
             "position": {"columns": ["act_pos_1_deg", "act_pos_2_deg"], "unit": "deg"},
@@ -82,9 +81,11 @@ def test_init_decides_and_commands_need_no_more(folder: Path) -> None:
     clean = run("check", "log.csv")
     assert clean.exit_code == 0 and "nothing looks wrong" in clean.output
     assert clean.output.startswith(
-        "jaxcslc.toml makes this: jaxcslc check arm.urdf log.csv --fix grip"
-        " --friction viscous,dry --columns 'jaxcslc.toml#columns'\n"
+        "With jaxcslc.toml, this is: jaxcslc check arm.urdf log.csv --fix grip"
+        " --columns 'jaxcslc.toml#columns'\n"
     )
+    mapped = jc.load_recording("log.csv", ("shoulder", "elbow"), columns="jaxcslc.toml")
+    assert mapped.samples == 4000
     identified = run("identify", "log.csv", "--no-systematic", "-o", "results")
     assert identified.exit_code == 0, identified.output
     page = Path("results/index.html").read_text("utf-8")

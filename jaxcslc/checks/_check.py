@@ -10,7 +10,7 @@ import numpy as np
 
 from .._display import bar_figure, html_table
 from .._text_table import text_table
-from ..manipulator import JointLimits
+from ..manipulator import UNUSED_LINKS, JointLimits
 from ..network import CSLC, derive
 from ..recordings import MINIMUM_SAMPLES, Recording, encoder_resolution, stale_rows
 from ._channel_findings import Channels, Saturated, Unsigned
@@ -172,6 +172,8 @@ def check(
     if len(usable) > 1:
         step("comparing recordings")
         findings += agreement_findings(network, *zip(*usable, strict=True))
+    faults = [note for note in network.robot.notes if note.endswith(UNUSED_LINKS)]
+    findings += [finding("robot file", note) for note in faults]
     return DataCheck(tuple(summaries), tuple(findings))
 
 

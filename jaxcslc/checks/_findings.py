@@ -35,9 +35,11 @@ class Finding:
     remedy: str
     recording: str = ""
 
-    def or_else(self, cause: str) -> "Finding":
+    def or_else(self, cause: str, remedy: str = "") -> "Finding":
         """Return the finding with a second cause that the recording cannot tell from the first."""
-        return dataclasses.replace(self, cause=f"{self.cause}; or, as likely, {cause}")
+        remedies = f"{self.remedy}; or {remedy}" if remedy else self.remedy
+        cause = f"{self.cause}; or, as likely, {cause}"
+        return dataclasses.replace(self, cause=cause, remedy=remedies)
 
     def __str__(self) -> str:
         where = ", ".join(part for part in (self.recording, self.kind, self.joint) if part)
@@ -80,7 +82,7 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         ),
         "gap: rows": (
             "rows were lost",
-            "--period {period:.6g} puts the rows on an even clock, or record again",
+            "none is needed for splines, the default smoothing; filters need a new recording",
         ),
         "jitter": (
             "rows were stamped when they arrived, not when they were measured",
@@ -142,11 +144,11 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         ),
         # Columns.
         "sign": (
-            "the {what} of {joint} counts the other way round than the robot file has it",
+            "the sign of the {what} of {joint} is opposite to that in the robot's file",
             "{entries} in a mapping file (--columns)",
         ),
         "sign: of all joints": (
-            "the {what} of all joints counts the other way round than the robot file has it",
+            "the sign of the {what} of all joints is opposite to that in the robot's file",
             "{entries} in a mapping file (--columns)",
         ),
         "swapped joints": (
@@ -175,7 +177,7 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         ),
         "torque lag": (
             "a filter or a delay between the two measurements",
-            "--torque-lag {lag:.4g}",
+            "identify with --torque-lag {lag:.4g}",
         ),
         # Motion and robot.
         "motion": (
@@ -190,6 +192,10 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         "limits": (
             "another robot, another zero position, or another unit",
             "compare the robot's file with the arm, and units and zero positions with the recorder",
+        ),
+        "robot file": (
+            "a mistake in the masses or inertias of the robot's file",
+            "correct the body in the robot's file, whose masses then help the fit",
         ),
         "wrong robot": (
             "the recording is of another robot, tool or mounting than the file's, or the model"
@@ -257,7 +263,7 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         ),
         "contact": (
             "something touched the arm, or a brake or a limit acted",
-            "--between leaves out {start} s to {end} s",
+            "identify the part before {start} s or after {end} s, with --between",
         ),
         # Other recordings.
         "payload": (

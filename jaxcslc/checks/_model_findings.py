@@ -186,7 +186,8 @@ def significant_cause(evidence: Evidence, *, lengths: bool = True) -> list[Findi
     alike = [x for x in others if abs(x[0]) / max(x[1], TINY) > _SAME * significance]
     if alike:
         _, what = _network_with_length(evidence.network, alike[0][3], alike[0][0])
-        result = result.or_else(finding("length", "", what=what).cause)
+        other = finding("length", "", what=what)
+        result = result.or_else(other.cause, other.remedy)
     return [result]
 
 

@@ -112,19 +112,21 @@ def _likeliest(evidence: Evidence) -> Cause | None:
     score = _objective(evidence, evidence.patterns)
     prior = evidence.prior
     causes: list[Cause] = []
+    # Of tame motion, held-out errors are large without a fault. Coefficients that follow any
+    # torque also follow one that is late, or of other lengths.
+    tame = bool(_excitation(evidence)[0])
+    errors = evidence.training_errors if tame else evidence.relative_errors
+    beyond_noise = errors > np.maximum(_BEYOND_NOISE * evidence.noise, _UNEXPECTED)
     if (
-        np.max(evidence.relative_errors) > _SMALL
+        (np.max(errors) > _SMALL and (np.any(beyond_noise) or not tame))
         or _driven_joints(evidence, evidence.patterns)
         or (prior is not None and _mismatched(evidence, prior).size)
     ):
         causes += _causes_in_columns(evidence, score)
-    # Coefficients that follow any torque also follow one that is late, or of other lengths.
-    tame = bool(_excitation(evidence)[0])
-    if np.max(evidence.relative_errors) > _LITTLE and not tame:
+    if np.max(errors) > _LITTLE and not tame:
         causes += axis_causes(evidence)
     causes = [cause for cause in causes if cause.gain > LEAST_GAIN]
-    errors = evidence.relative_errors
-    if np.any(errors > np.maximum(_BEYOND_NOISE * evidence.noise, _UNEXPECTED)):
+    if np.any(beyond_noise):
         causes += model_causes(evidence, lengths=not tame)
     least = max(evidence.interval, LEAST_LAG)
     lag = torque_lag_of(evidence, least)
@@ -153,7 +155,9 @@ def _named_with_length(best: Cause, causes: Sequence[Cause]) -> Cause:
     if not lengths or not others:
         return best
     other = max(others, key=lambda cause: cause.gain)
-    return dataclasses.replace(other, finding=other.finding.or_else(lengths[0].cause))
+    return dataclasses.replace(
+        other, finding=other.finding.or_else(lengths[0].cause, lengths[0].remedy)
+    )
 
 
 class _Hypothesis(NamedTuple):
@@ -489,7 +493,9 @@ def _excitation(evidence: Evidence) -> tuple[list[Finding], str]:
     whole = rank == _determinable(network)
     if (whole or motionless(evidence.recording).any()) and gap < _TAME:
         return [], text
-    held_out = f"held-out errors are {np.exp(gap):.3g} times the training errors"
+    held_out = (
+        f"without prior knowledge, held-out errors are {np.exp(gap):.3g} times the training errors"
+    )
     return [finding("tame motion", f"{text}; {held_out}")], text
 
 

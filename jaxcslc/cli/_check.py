@@ -46,9 +46,11 @@ def check_command(
         network = drives.network(manipulator, lengths)
         page = check(network, read, names, progress=step)
     named = zip(names, read, strict=True)
-    notes = [f"note: {name}: {note}" for name, recording in named for note in recording.notes]
+    found = {f"note: {one.evidence}" for one in page.findings}
+    notes = [note for note in robot_notes(manipulator) if note not in found]
+    notes += [f"note: {name}: {note}" for name, recording in named for note in recording.notes]
     return Output(
-        "\n".join([str(page), *robot_notes(manipulator), *notes]),
+        "\n".join([str(page), *notes]),
         lambda: record_document(page),
         status=1 if page.findings else 0,
     )

@@ -317,7 +317,7 @@ class Command:
             context = self.context(words)
             output = self.function(context, **self._arguments(context.values))
             if context.project and not (context.output.json or context.output.quiet):
-                show(f"{FILE} makes this: {context.text()}\n")
+                show(f"With {FILE}, this is: {context.text()}\n")
             output.print(context.output)
             return output.status
         return status[0]

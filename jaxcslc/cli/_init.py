@@ -72,11 +72,9 @@ def init_command(
         robot = _with_joints_of_log(file, log, robot, part, mapping, found)
         step("checking")
         page = _corrected(log, robot, mapping, found)
-    terms = list(robot.friction_terms)
-    if robot.source is None or robot.source.format == "toml":
-        found.decide("friction", f"{', '.join(terms)}, as in the robot file")
-    else:
-        found.decide("friction", f"{', '.join(terms)} at every joint (friction)", friction=terms)
+    found.decide(
+        "friction", ", ".join(robot.friction_terms) + "; identify adds torque offsets that help"
+    )
     with unfinished(path) as scratch:
         scratch.write_text(
             _text(found.entries, file, log), encoding="utf-8", errors="backslashreplace"

@@ -9,6 +9,8 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, NamedTuple, get_args
 
+import numpy as np
+
 from .._environment import ExplainedError
 from ..bodies import Choice, Prior
 from ..least_squares import Previous, Settings
@@ -204,8 +206,8 @@ EXCLUSIONS = (
 def check_request(request: Request) -> None:
     """Check what is asked of `identify`.
 
-    **Raises** `ValueError`: a choice that there is not, features that are not combined, or a prior
-    that is not of the network.
+    **Raises** `ValueError`: a choice that there is not, features that are not combined, a
+    validation recording that is fitted, too, or a prior that is not of the network.
     """
     if request.friction not in ("auto", "offset", None):
         raise ValueError(
@@ -219,6 +221,16 @@ def check_request(request: Request) -> None:
     for row in EXCLUSIONS:
         if all(_has(request, name) for name in row.features):
             raise ExplainedError(_text(row, request), row.page)
+    judged = request.validation
+    for name, fitted in request.training.items() if judged is not None else ():
+        if all(
+            np.array_equal(getattr(fitted, what), getattr(judged, what))
+            for what in ("position", "torque")
+        ):
+            raise ValueError(
+                f"validation: the same samples as the training recording{f' {name}' * bool(name)};"
+                " expected another recording, or none"
+            )
     if request.prior is not None:
         request.prior.coefficient_values(request.network)
         request.prior.link_values(request.network.robot)

@@ -109,7 +109,7 @@ def with_chosen_settings(
 ) -> ChosenFriction:
     """Select settings for the network that was asked for, and fit one that has more offsets."""
     chosen = select_settings(asked, step) if asked.settings is None else None
-    note = "torque offsets of all joints: the robot's file tells them from gravity"
+    note = "each joint has a torque offset: the masses in the robot's file separate it from gravity"
     terms = FrictionChoice(request.network, (), note)
     return ChosenFriction(request, chosen, terms, not_tried="")
 

@@ -55,6 +55,7 @@ from ._placement import (
 )
 from .files import (
     START_TAG as START_TAG,
+    UNUSED_LINKS as UNUSED_LINKS,
     Element as Element,
     load_robot as load_robot,
     mujoco_spec as mujoco_spec,

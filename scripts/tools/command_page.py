@@ -38,7 +38,6 @@ no `ROBOT`: `jaxcslc identify log.csv`. `jaxcslc init ROBOT LOG` writes it.
 ```toml
 robot = "arm.urdf"
 fix = ["finger_joint1", "finger_joint2"]
-friction = ["viscous", "dry"]
 
 [columns.position]
 columns = "q{number}"

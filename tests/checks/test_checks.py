@@ -434,6 +434,25 @@ def test_a_short_recording_has_no_lag(tmp_path: Path) -> None:
     assert "torque lag" not in {one.kind for one in found}
 
 
+def test_a_short_recording_has_no_cause_but_too_little_motion(tmp_path: Path) -> None:
+    """Its held-out errors are large, and any change of a sign makes them others by chance."""
+    made = jc.examples.write_example("ur5", tmp_path / "arm")
+    robot = jc.load_robot(made.robot)
+    log = jc.load_recording(made.train, robot.joint_names)
+    found = jc.check(jc.derive(robot, lengths="numeric"), log.rows(slice(375))).findings
+    assert [one.kind for one in found] == ["tame motion"]
+
+
+def test_a_mass_that_no_body_has_is_named(tmp_path: Path) -> None:
+    made = jc.examples.write_example("ur5", tmp_path / "arm")
+    text = made.robot.read_text("utf-8").replace('mass value="', 'mass value="-')
+    made.robot.write_text(text, "utf-8")
+    result = run("check", str(made.robot), str(made.train))
+    assert result.exit_code == 1
+    assert "warning: robot file: " in result.output and "note: " not in result.output
+    assert "expected a mass of zero or more" in result.output
+
+
 def test_one_absurd_torque_is_named_however_long_the_recording(
     arm: jc.CSLC, clean: jc.Recording
 ) -> None:

@@ -1,6 +1,7 @@
 """What `identify` decides beyond its parts."""
 
 import numpy as np
+import pytest
 
 import jaxcslc as jc
 
@@ -28,3 +29,12 @@ def test_joints_that_lose_static_friction_mask_their_slow_pairs_again() -> None:
     by_hand = jc.Settings(jc.Preparation(threshold_fraction=0.01))
     kept = jc.identify(static, recording, settings=by_hand)
     assert kept.settings.preparation.threshold_fraction == 0.01
+
+
+def test_what_is_fitted_does_not_judge() -> None:
+    network = jc.derive(jc.examples.pendulum(), lengths="numeric")
+    recording = jc.examples.swing_recording(network, [0.5, 0.3, -0.1, 0.2, 0.05])
+    with pytest.raises(
+        ValueError, match="validation: the same samples as the training recording b"
+    ):
+        jc.identify(network, {"a": recording.rows(slice(300)), "b": recording}, recording)

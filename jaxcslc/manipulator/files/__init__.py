@@ -9,7 +9,7 @@
 - `_mujoco_reader`: bodies and joints of a file, as MuJoCo's loader understands them.
 """
 
-from ._load import load_robot as load_robot
+from ._load import UNUSED_LINKS as UNUSED_LINKS, load_robot as load_robot
 from ._mujoco_reader import mujoco_spec as mujoco_spec
 from ._toml import panda as panda, puma560 as puma560, tx40 as tx40
 from ._urdf import (

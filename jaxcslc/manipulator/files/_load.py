@@ -254,15 +254,16 @@ def _gravity(tree: BodyTree, start: int) -> tuple[float, float, float]:
     return x, y, z
 
 
+UNUSED_LINKS = "no link parameters are taken from this file"
+"""How a note on bodies that cannot exist ends."""
+
+
 def _faults(path: Path, bodies: Sequence[Body]) -> Iterator[str]:
     """A note on the bodies that cannot exist, if there are any."""
     faulty = [body for body in bodies if body.fault]
     if faulty:
         others = f" (and {len(faulty) - 1} other bodies)" if len(faulty) > 1 else ""
-        yield (
-            f"{path}, body {faulty[0].name!r}{others}: {faulty[0].fault}; no link parameters are"
-            " taken from this file"
-        )
+        yield (f"{path}, body {faulty[0].name!r}{others}: {faulty[0].fault}; {UNUSED_LINKS}")
 
 
 def _has_mass(inertia: LinkParameters | None) -> TypeGuard[LinkParameters]:

@@ -179,6 +179,8 @@ class ColumnMapping:
     def load(cls, path: str | os.PathLike[str]) -> "ColumnMapping":
         """Read a mapping from a TOML file; its keys are in `docs/recordings.md`.
 
+        Of a project file, `jaxcslc.toml`, its table `[columns]` is read.
+
         **Raises** `RecordingError`: one line that names the file and the entry.
 
         >>> import pathlib, tempfile
@@ -190,7 +192,8 @@ class ColumnMapping:
         ('ms',)
         """
         document = toml_document(path, "file of column names", RecordingError)
-        return cls.of(document, str(path))
+        table = document.get("columns")
+        return cls.of(table if isinstance(table, dict) else document, str(path))
 
     @classmethod
     def of(cls, document: Mapping[str, Any], source: str = "columns") -> "ColumnMapping":

@@ -266,12 +266,12 @@ class ExcitationSection(AbstractSection):
         condition = number_text(float(fit.condition))
         text = f"rank {int(fit.rank)} of {fitted}, condition number {condition}"
         if "least_determined" in self.data:
-            text += f"; least determined: {readable(self.data['least_determined'])}"
+            text += f"; least determined combination: {readable(self.data['least_determined'])}"
         yield [
             *([] if legend is None else [legend_text(legend)]),
             errors,
-            f"low, high: 95 % confidence interval, {fit.errors} errors with"
-            f" {float(fit.degrees_of_freedom):.0f} degrees of freedom{causes}",
+            f"low, high: 95 % confidence interval for {fit.errors} errors (Student's t with"
+            f" {float(fit.degrees_of_freedom):.0f} degrees of freedom){causes}",
             *(f"not determined: {sentence}" for sentence in fit.unidentifiable),
             text,
         ]

@@ -124,7 +124,7 @@ def _fault_of_files(
         return None
     if hidden := [path for path in new if path.name.startswith(".") and path.name != MARKER]:
         return f"left {hidden[0].name}"
-    text = re.sub("(?m)^jaxcslc.toml makes this: .*$", "", result.stdout)  # options as they are
+    text = re.sub("(?m)^With jaxcslc.toml, this is: .*$", "", result.stdout)  # options as they are
     if found := _NOT_FINITE.search(text):
         return f"printed {found[0]}: {text[max(found.start() - 150, 0) :][:300]!r}"
     for path in (*new, *own):
