@@ -80,6 +80,15 @@ def test_a_page_has_its_stored_tables(page: str) -> None:
     assert text == filled(text), "run python -m scripts.tools.evidence"
 
 
+@pytest.mark.parametrize("run", sorted(path.stem for path in RESULTS.glob("*.json")))
+def test_the_program_of_stored_results_exists(run: str) -> None:
+    """Or its commit is named."""
+    results = load(run)
+    program = re.search(r"python -m (scripts[\w.]+)", results.command)
+    if program is not None and "at commit" not in results.sample:
+        assert (DOCS.parent / f"{program[1].replace('.', '/')}.py").is_file(), results.command
+
+
 def test_each_stored_table_is_on_a_page_once() -> None:
     stored_tables = [
         f"{path.stem}/{name}" for path in RESULTS.glob("*.json") for name in load(path.stem).tables
