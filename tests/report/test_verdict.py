@@ -1,11 +1,14 @@
 """Verdicts of whole reports: sensor noise is no error of the model, a wrong recording is one."""
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import jaxcslc as jc
+from jaxcslc.report.sections._coefficient_table import CoefficientSection
 
 
 # White noise of the torque, as a part of its RMS: more than an error that calls for care.
@@ -42,3 +45,22 @@ def test_a_wrong_recording_is_not_to_be_relied_on(network: jc.CSLC) -> None:
     report = jc.identify(network, wrong, settings=jc.Settings())
     assert report.page(charts=False).tone == "bad"
     assert "The recording is wrong: positions are in degrees." in report.verdict
+
+
+@pytest.mark.parametrize(
+    ("others", "tone"),
+    [
+        ({"from the file": 9}, "good"),
+        ({"indistinguishable from zero": 9}, "good"),
+        ({"poorly determined": 2, "systematic error": 1}, "good"),
+        ({"poorly determined": 2, "systematic error": 2}, "caution"),
+        ({"not determined": 1}, "caution"),
+    ],
+)
+def test_what_the_file_knows_is_not_in_doubt(others: dict[str, int], tone: str) -> None:
+    """Of coefficients, four of which are well determined."""
+    kinds = {"well determined": 4, **others}
+    rows = [{"verdict": kind, "positive": False} for kind, n in kinds.items() for _ in range(n)]
+    report: Any = SimpleNamespace(rows=lambda: rows, systematic=None)
+    (message,) = CoefficientSection(dict).messages(report)
+    assert message.tone == tone
