@@ -45,8 +45,8 @@ _EXACT_POWER = 22
 
 CurveLook = Literal["measured", "predicted", "residual", "points", "fitted"]
 _LOOKS: dict[CurveLook, dict[str, Any]] = {
-    "measured": {"mode": "lines", "line": {"color": _MEASURED, "width": 3}},
-    "predicted": {"mode": "lines", "line": {"color": _ORANGE, "width": 1.3}},
+    "measured": {"mode": "lines", "line": {"color": _MEASURED, "width": 5}},
+    "predicted": {"mode": "lines", "line": {"color": _ORANGE, "width": 1}},
     "residual": {"mode": "lines", "line": {"color": _BLUE, "width": 1}},
     "points": {"mode": "markers", "marker": {"color": _MEASURED, "size": 3}},
     "fitted": {"mode": "markers", "marker": {"color": _ORANGE, "size": 3}},

@@ -223,7 +223,10 @@ def _arm_chart(document: Mapping[str, Any]) -> ArmChart:
     """
     lines = np.asarray(document["lines"], float)
     reach = float(np.sum(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)))
-    caption = "Solid ellipsoids of the same mass and inertia, at the recording's first sample"
+    caption = (
+        "Solid ellipsoids of the same mass and inertia, at the recording's first sample. Torque"
+        " determines combinations of links alone: other ellipsoids fit as well"
+    )
     bodies: list[Ellipsoid] = []
     large: list[str] = []
     for body in document["bodies"]:
@@ -234,7 +237,7 @@ def _arm_chart(document: Mapping[str, Any]) -> ArmChart:
             bodies.append(ellipsoid)
     if large:
         caption += (
-            f"; not drawn, because larger than the arm: {', '.join(large)} (the motion determines"
+            f". Not drawn, because larger than the arm: {', '.join(large)} (the motion determines"
             " their inertia, but not their mass)"
         )
     return ArmChart(lines, tuple(bodies), caption)

@@ -193,7 +193,9 @@ def experiment(options: argparse.Namespace) -> int:
     network = jc.derive(jc.puma560())
     simulated = machines()
     others = variants(*simulated.values())
+    print("1 of 3: simulating the thesis's arms", flush=True)
     recordings = recorded(options, simulated, others)
+    print("2 of 3: identifying and training them", flush=True)
     both = [
         identified(
             network,
@@ -246,6 +248,7 @@ def experiment(options: argparse.Namespace) -> int:
             write_csv(folder / f"{name}.csv", rows)
         for number, figure in figures.items():
             save_picture(figure, folder / f"figure_{number}.png")
+        print("3 of 3: identifying an arm from its files", flush=True)
         arm = identify_example(folder / FOLDER, quick=options.quick)
         captions = {name: CAPTIONS[name] for name in figures}
         every = experiment_page(tables, captions, notes)

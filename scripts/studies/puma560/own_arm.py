@@ -72,8 +72,8 @@ class OwnArm:
             return None
         identified, file = self.distances
         return (
-            f"simulated for {_SIMULATED:g} s by recorded torques alone: the hand is"
-            f" {1e3 * identified:.1f} mm off, with the values of the robot file {1e3 * file:.0f} mm"
+            f"in a simulation of {_SIMULATED:g} s by recorded torques alone, the hand ends"
+            f" {1e3 * identified:.1f} mm off; with the robot file's values {1e3 * file:.0f} mm"
         )
 
 
