@@ -29,12 +29,10 @@ from ._body import (
 )
 from ._file_prior import (
     DECIDED as DECIDED,
-    WIDTH as WIDTH,
     ChosenPrior as ChosenPrior,
     FilePrior as FilePrior,
     FileWeight as FileWeight,
     chosen_prior as chosen_prior,
-    correlation_of as correlation_of,
 )
 from ._misfit import Misfit as Misfit, misfit_of as misfit_of
 from ._nearest_bodies import (
@@ -66,7 +64,6 @@ from ._possible_fit import (
 from ._prior import (
     Fitted as Fitted,
     Known as Known,
-    KnownRows as KnownRows,
     LinkKnowledge as LinkKnowledge,
     Prior as Prior,
     information_rows as information_rows,

@@ -21,8 +21,6 @@ weighted equations are other rows.
 """
 
 from ._blocks import (
-    blocks_of_chunks as blocks_of_chunks,
-    factors_of_blocks as factors_of_blocks,
     pattern_factors as pattern_factors,
     shard_patterns as shard_patterns,
 )

@@ -38,7 +38,6 @@ from ._likelihood_fit import (
     RowSums as RowSums,
     border_errors as border_errors,
     eliminated_rows as eliminated_rows,
-    likelihood_fit as likelihood_fit,
 )
 from ._maximum_likelihood import MaximumLikelihood as MaximumLikelihood
 from ._point import Point as Point, Step as Step

@@ -56,7 +56,6 @@ from ._recording import (
     MINIMUM_SAMPLES as MINIMUM_SAMPLES,
     Recording as Recording,
     RecordingError as RecordingError,
-    as_columns as as_columns,
     as_float as as_float,
     check_quantities as check_quantities,
     check_samples as check_samples,

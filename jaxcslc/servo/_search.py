@@ -245,7 +245,12 @@ class JointProblem:
     def minimum(
         self, x: Float[np.ndarray, " unknowns"], iterations: int, masses: float = 1.0
     ) -> Float[np.ndarray, " unknowns"]:
-        """Return the least cost's unknowns (Levenberg and Marquardt, within bounds)."""
+        """Return the least cost's unknowns (Levenberg and Marquardt, within bounds).
+
+        `scipy.optimize.least_squares` (dogleg) takes two thirds of the time for all joints. On two
+        motions of a real SO-101, whose friction makes the cost rough, positions of held-out motions
+        were 14.7 mrad off with it instead of 14.3.
+        """
         deviations = self.deviations
         low, shrink, stalled = self.low, 1.0, 0
         damping = 1e-2
