@@ -30,7 +30,7 @@ class Results:
     """Tables of one run of a study.
 
     - `command`: of the run; empty if no program makes these tables.
-    - `date`: of the run.
+    - `date`: of the run; "by" a date, if only the day on which the figures were committed is known.
     - `sample`: what the figures are of: seeds, recordings, machines.
     - `tables`: rows by a table's name, the head first.
     """
