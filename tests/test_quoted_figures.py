@@ -85,6 +85,16 @@ QUOTES = (
         for _, arm, pipeline in _REAL_CASES
     ),
     Quote(
+        "docs/friction_evidence.md",
+        "errors over all samples are {} {} {} {} {} {} {} % of the torque. With the defaults they"
+        " are {} {} {} {} {} {} {} %",
+        tuple(
+            f"real_robots/Franka Panda, last third | {row} | {joint}"
+            for row in ("identify, friction auto", "identify")
+            for joint in range(1, 8)
+        ),
+    ),
+    Quote(
         "docs/scale.md",
         "agree with those of QR to {} of a standard error for well-conditioned motion",
         ("factorisation/motions | a hundredth of it | difference",),
@@ -167,6 +177,7 @@ QUOTES = (
     ),
 )
 
+_DEFAULT = "prior, torque offsets at all joints, the default"
 _SECONDS = "real_robots/{} | {} | processor [s]"
 CLAIMS = (
     Claim(
@@ -351,6 +362,14 @@ def test_claims_hold_of_stored_figures(claim: Claim) -> None:
     assert claim.phrase in words(claim.page)
     values = [figures_of(reference) for reference in claim.figures]
     assert claim.holds(*values), f"{claim.page}: {claim.phrase}, stored {values}"
+
+
+def test_the_gain_of_the_file_on_new_motion_is_that_of_the_table() -> None:
+    by_case = {row[0]: numbers_of(row[1]) for row in table("file_prior_kuka/joints")[1:]}
+    without, default = by_case["no prior, no offsets"], by_case[_DEFAULT]
+    falls = [100 * (1 - ours / theirs) for theirs, ours in zip(without, default, strict=True)]
+    text = f"fall by {min(falls):.0f} to {max(falls):.0f} % per joint"
+    assert text in words("docs/file_prior_evidence.md")
 
 
 def test_lost_joints_of_real_arms_are_counted() -> None:
