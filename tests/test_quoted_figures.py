@@ -85,6 +85,14 @@ QUOTES = (
         for _, arm, pipeline in _REAL_CASES
     ),
     Quote(
+        "docs/excitation_evidence.md",
+        "their ratio is {} in the median for least squares and {} for maximum likelihood",
+        tuple(
+            f"excitation/predicted | {estimator} | median"
+            for estimator in ("regression", "maximum likelihood")
+        ),
+    ),
+    Quote(
         "docs/friction_evidence.md",
         "errors over all samples are {} {} {} {} {} {} {} % of the torque. With the defaults they"
         " are {} {} {} {} {} {} {} %",
@@ -185,6 +193,21 @@ CLAIMS = (
         "A report of 3,300 samples takes a few seconds on two cores",
         ("benchmark identify.puma560.later_run",),
         lambda seconds: all(1 < value < 5 for value in seconds),
+    ),
+    Claim(
+        "docs/simulator_evidence.md",
+        "Trained networks have 4 % more torque error than direct solutions in the median",
+        ("thousand/errors | trained over solved | median",),
+        lambda ratio: round(100 * (ratio[0] - 1)) == 4,
+    ),
+    Claim(
+        "docs/likelihood_evidence.md",
+        "the torque error of maximum likelihood is one twentieth of that of least squares",
+        (
+            "likelihood/torque | maximum likelihood | median",
+            "likelihood/torque | regression, masks, averaged splines, 15 Hz filter | median",
+        ),
+        lambda ours, usual: 18 < usual[0] / ours[0] < 22,
     ),
     Claim(
         "docs/robots.md",
@@ -370,6 +393,21 @@ def test_the_gain_of_the_file_on_new_motion_is_that_of_the_table() -> None:
     falls = [100 * (1 - ours / theirs) for theirs, ours in zip(without, default, strict=True)]
     text = f"fall by {min(falls):.0f} to {max(falls):.0f} % per joint"
     assert text in words("docs/file_prior_evidence.md")
+
+
+def test_ranges_of_summaries_are_those_of_tables() -> None:
+    head, *rows = table("systems/coverage")
+    low, high = (
+        [numbers_of(row[head.index(name)])[0] for row in rows]
+        for name in ("least squares", "within 2 errors")
+    )
+    text = words("docs/systems_evidence.md")
+    assert f"{min(high)} to {max(high)} % of the corrected coefficients" in text
+    assert f"Least squares alone has {min(low)} to {max(low)} %" in text
+    _, *rows = table("intervals/pairs")
+    whole = [numbers_of(row[-1])[0] for row in rows if row[1] == "these and systematic errors"]
+    text = f"agree in {min(whole):.0f} to {max(whole):.0f} % of cases"
+    assert text in words("docs/uncertainty_evidence.md")
 
 
 def test_lost_joints_of_real_arms_are_counted() -> None:

@@ -194,12 +194,12 @@ def compare_text(rows: Sequence[dict[str, Any]]) -> str:
 def predicted_table(rows: Sequence[dict[str, Any]]) -> list[list[str]]:
     """The page's table of predicted over obtained errors, the head first."""
     table = [["estimator", "recordings", "median", "least", "greatest"]]
-    for part in ("regression", "likelihood"):
+    for part, name in (("regression", "regression"), ("likelihood", "maximum likelihood")):
         errors = np.array([row["errors"] for row in rows if row["part"] == part])
         predicted = predicted_errors(_designs["overall"][0], part).standard_error
         ratio = predicted / np.sqrt(np.mean(errors**2, axis=0))
         values = (np.median(ratio), ratio.min(), ratio.max())
-        table.append([part, str(len(errors)), *(f"{value:.3g}" for value in values)])
+        table.append([name, str(len(errors)), *(f"{value:.3g}" for value in values)])
     return table
 
 
