@@ -201,7 +201,7 @@ def test_wrong_columns(tmp_path: Path, header: str, expected: str, suffix: str) 
     [
         pytest.param("fast", "'fast'; expected a number", id="word"),
         pytest.param('"0,5"', "'0,5'; expected a number with a decimal point", id="comma"),
-        pytest.param("", "an empty cell; expected a number", id="empty"),
+        pytest.param("", "an empty cell; expected a number, or no such row", id="empty"),
         pytest.param("NULL", "'NULL'; expected a number", id="null"),
         pytest.param("1_000", "'1_000'; expected a number", id="underscore"),
         pytest.param("0x10", "'0x10'; expected a number", id="hexadecimal"),
@@ -307,7 +307,9 @@ def test_parquet_columns_of_text_and_missing_values(tmp_path: Path) -> None:
     assert message(path) == "column position_1 holds string; expected numbers"
     holes = pa.array([0.0, 1.0, None, 3.0, 4.0, 5.0])
     pq.write_table(pa.Table.from_arrays([numbers, numbers, holes], names=names), path)
-    assert message(path) == "row 3, column torque_1: an empty cell; expected a number"
+    assert (
+        message(path) == "row 3, column torque_1: an empty cell; expected a number, or no such row"
+    )
     nans = pa.array([0.0, 1.0, 2.0, np.nan, 4.0, 5.0])
     pq.write_table(pa.Table.from_arrays([numbers, numbers, nans], names=names), path)
     where = "row 4, column torque_1: nan where a finite number was expected"

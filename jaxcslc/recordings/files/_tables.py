@@ -30,6 +30,7 @@ from ._layout import ColumnLayout, Header, Table, beginning, one_line
 ROW_GROUP = 1 << 16
 """Rows of a Parquet row group: what its readers must be able to hold at a time."""
 
+_EMPTY = "an empty cell"
 _READ_BYTES = 1 << 20  # of a file at a time: enough for speed, little next to a chunk's arrays
 SERVO_FOLDERS = ("meta/info.json", "control.csv", "control.csv.gz")
 """Files that folders of servos' recordings have: data sets of LeRobot, and SAGE's logs."""
@@ -430,7 +431,7 @@ def _check_cells(path: Path, row: int, batch: pa.RecordBatch, columns: Sequence[
         if nulls.any():
             raise RecordingError(
                 f"{path}: row {row + int(np.argmax(nulls)) + 1}, column {name}: "
-                "an empty cell; expected a number"
+                f"{_EMPTY}; expected a number, or no such row"
             )
 
 
@@ -569,11 +570,13 @@ def _faulty_cell(path: Path, header: _CsvHeader, names: Sequence[str]) -> Record
                 )
             for name, cell in zip(header.names, cells, strict=True):
                 if name in names and not _is_number(cell):
-                    shown = "an empty cell" if not cell.strip() else repr(cell)
                     point = " with a decimal point" if _is_number(cell.replace(",", ".")) else ""
-                    return RecordingError(
-                        f"{where}, column {name}: {shown}; expected a number{point}"
+                    shown, expected = (
+                        (repr(cell), f"a number{point}")
+                        if cell.strip()
+                        else (_EMPTY, "a number, or no such row")
                     )
+                    return RecordingError(f"{where}, column {name}: {shown}; expected {expected}")
     except (UnicodeDecodeError, csv.Error) as error:
         return RecordingError(f"{path}: is no CSV text in UTF-8: {one_line(error)}")
     return None
