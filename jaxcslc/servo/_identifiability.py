@@ -6,6 +6,7 @@ those that the fit keeps at zero.
 """
 
 import dataclasses
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -20,6 +21,10 @@ CONFOUNDED_FROM = 0.9
 more than twice as wide as with the other known."""
 # Of a parameter's size: one that is known better is not confounded, whatever correlates.
 _VAGUE = 0.1
+EXCHANGED = ("dead_zone", "coulomb")
+"""Parameters that act alike where no load holds a joint, both in rad as ratios to the gain."""
+_TRIALS = 9  # of exchanges: the cost is rough
+_LIKELY = 3.84  # of the cost, twice the negative logarithm of a density: within 95 %
 
 
 @dataclass(frozen=True)
@@ -185,22 +190,43 @@ def confounded(
         spread = np.sqrt(np.diag(covariance))
         correlation = covariance[0, 1] / (spread[0] * spread[1])
         vague = np.any(spread > _VAGUE * sizes[keep])
-        if abs(correlation) > CONFOUNDED_FROM and vague:
-            if "dead_zone" in pair and correlation < 0.0:
-                covariance = covariance + _exchange(z[keep], covariance)
+        slope = covariance[0, 1] / covariance[0, 0]
+        exchanged = pair == EXCHANGED and _is_exchangeable(problem, x, masses)
+        if exchanged or (abs(correlation) > CONFOUNDED_FROM and vague):
+            if exchanged or ("dead_zone" in pair and correlation < 0.0):
+                covariance = covariance + _exchange(z[keep], -1.0 if exchanged else slope)
             found.append((ConfoundedParameters(joint, pair, reason, remedy), covariance))
     return found
 
 
-def _exchange(
-    values: Float[np.ndarray, "2"], covariance: Float[np.ndarray, "pair pair"]
-) -> Float[np.ndarray, "pair pair"]:
+def _is_exchangeable(
+    problem: JointProblem, x: Float[np.ndarray, " unknowns"], masses: float
+) -> bool:
+    """Return True if Coulomb friction may take the part of the dead zone, or the reverse.
+
+    Where no load holds a joint, both leave it where it is while the error is small. Derivatives
+    tell them apart by the roughness of simulated positions: whole exchanges do not.
+    """
+    if not set(EXCHANGED) <= set(problem.names):
+        return False
+    zone, friction = (problem.names.index(name) for name in EXCHANGED)
+    amounts = np.linspace(-x[zone], x[friction], _TRIALS)
+    amounts = amounts[np.abs(amounts) > _VAGUE * (x[zone] + x[friction])]
+    trials = np.tile(x, (1 + len(amounts), 1))
+    trials[1:, zone] += amounts
+    trials[1:, friction] -= amounts
+    cost, *others = problem.cost(trials, masses)
+    return bool(min(others, default=math.inf) < cost + _LIKELY)
+
+
+def _exchange(values: Float[np.ndarray, "2"], slope: float) -> Float[np.ndarray, "pair pair"]:
     """Return the covariance of two values, one of which may be zero if the other takes its part.
+
+    - `slope`: change of the second value over that of the first.
 
     A dead zone acts as friction whenever the joint moves. What separates them is less than the
     roughness of simulated positions, which counts as information in derivatives.
     """
-    slope = covariance[0, 1] / covariance[0, 0]
     # Two standard deviations take the first value to where either is zero.
     deviation = 0.5 * max(values[0], -values[1] / slope)
     return deviation**2 * np.outer([1.0, slope], [1.0, slope])
