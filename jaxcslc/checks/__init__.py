@@ -12,6 +12,11 @@
   during a recording, by the columns that a small fault adds.
 - `_motion_findings`, `_torque_lag`: faults in columns, the lag of torques, and recordings that
   differ from the first.
+
+Each bound has its derivation beside it, or the word *heuristic*. Heuristics were chosen on the
+three arms of `scripts.studies.checks.study`. What they do on six others is counted by
+`scripts.studies.checks.spoiler`: faults that are named, false alarms. How far right recordings stay
+from the main ones is measured by `scripts.studies.checks.margins`.
 """
 
 from ._check import DataCheck as DataCheck, check as check

@@ -14,10 +14,11 @@ from ..manipulator import UNUSED_LINKS, JointLimits
 from ..network import CSLC, derive
 from ..recordings import MINIMUM_SAMPLES, Recording, encoder_resolution, stale_rows
 from ._channel_findings import Channels, Saturated, Unsigned
-from ._evidence import Evidence
+from ._evidence import Evidence, from_its_start
 from ._findings import SPOILING_KINDS, Finding, finding
 from ._motion_findings import agreement_findings, motion_findings, rate_findings
 from ._sample_findings import (
+    REPEATED,
     Outliers,
     clipping,
     clock_findings,
@@ -199,13 +200,14 @@ def _check_one(
 ) -> "tuple[list[Finding], RecordingSummary, Evidence | None]":
     """Check a recording, each time with what was found before mended."""
     joints = network.output_names
+    recording = from_its_start(recording)
     factor, wrong_unit = time_unit(recording)
     findings = [] if wrong_unit is None else [wrong_unit]
     if wrong_unit is not None:
         velocity, acceleration = recording.velocity, recording.acceleration
         recording = dataclasses.replace(
             recording,
-            time=(recording.time - recording.time[0]) * factor,
+            time=recording.time * factor,
             velocity=None if velocity is None else velocity / factor,
             acceleration=None if acceleration is None else acceleration / factor**2,
         )
@@ -220,7 +222,8 @@ def _check_one(
     mended = outliers.mended(recording)
     valid = channels.valid & ~clipping(recording.torque)
     clipped = {found.joint for found in findings if found.kind == "clipping"}
-    for one in _confirmed(network, mended, channels):
+    confirmed = _confirmed(network, mended, channels)
+    for one in confirmed:
         name_of = joints[one.joint]
         if one.row != "clipping" or name_of not in clipped:
             findings.append(finding(one.row, one.text, name_of, joint=name_of))
@@ -245,7 +248,18 @@ def _check_one(
         findings.append(finding("motion", shortage))
         evidence = None
     if evidence is not None:
-        found, evidence, excitation = motion_findings(evidence)
+        before = evidence
+        found, evidence, excitation = motion_findings(before)
+        another = any(one.kind == "wrong robot" for one in found)
+        explained = {
+            joints[one.joint]
+            for one in confirmed
+            if one.row == "clipping"
+            and (another or _is_explained(one, before, evidence, recording.time))
+        }
+        findings = [
+            x for x in findings if x.kind != "clipping" or x.joint not in explained - clipped
+        ]
         # No robot explains a torque that was not recorded.
         unrecorded = {one.joint for one in findings if one.kind == "constant torque"}
         found = [one for one in found if one.kind != "wrong robot" or one.joint not in unrecorded]
@@ -273,8 +287,28 @@ def _confirmed(
     return []
 
 
-_SLOW_SOURCE = 0.3  # part of rows that repeat positions from which their source is slower
-_REST = 0.01  # part of a joint's greatest speed below which it is at rest
+def _is_explained(
+    one: Unsigned | Saturated, before: Evidence, mended: Evidence, time: np.ndarray
+) -> bool:
+    """Return whether motion takes no more than the torque once other faults are mended.
+
+    Of motion that is wrong, or by another robot's file, a fit to the other samples predicts any
+    torque.
+
+    - `time`: of the samples that are looked at [s].
+    """
+    same = mended is not before and all(
+        np.array_equal(x, y)
+        for x, y in (
+            (before.recording.time, mended.recording.time),
+            (before.recording.torque[:, one.joint], mended.recording.torque[:, one.joint]),
+        )
+    )
+    return same and not one.confirmed(mended, time)
+
+
+_SLOW_SOURCE = REPEATED  # part of rows that repeat positions from which their source is slower
+_REST = 0.01  # part of a joint's greatest speed below which it is at rest, in the summary alone
 _MOMENT = 0.02  # [s] in which encoder steps and outliers do not show
 _TOP = 0.999  # part of the samples that top speed is not exceeded by
 

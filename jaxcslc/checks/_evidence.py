@@ -42,10 +42,8 @@ from ..recordings import (
 from ._findings import Finding
 
 
-# A joint follows the file's torque well from this part of the variance on.
+# A joint follows the file's torque well if it explains more of the variance than it leaves.
 WELL = 0.5
-# Median intervals from which on what lies between two samples is not interpolated: a gap.
-_GAP = 5.0
 # Least divisor of what may be zero.
 TINY = 1e-300
 
@@ -70,6 +68,17 @@ class PriorFit:
         """Median factor of the joints that the file's torque explains well; NaN without any."""
         well = self.explained > WELL
         return float(np.median(self.factor[well])) if well.any() else np.nan
+
+    @property
+    def common_size(self) -> float:
+        """Median size of these factors, whatever their signs; NaN without any.
+
+        >>> well = np.ones(2)
+        >>> PriorFit(np.array([0.7, -0.9]), well, well).common_size
+        0.8
+        """
+        well = self.explained > WELL
+        return float(np.median(np.abs(self.factor[well]))) if well.any() else np.nan
 
     @property
     def factors(self) -> Float[np.ndarray, " joints"]:
@@ -141,24 +150,32 @@ def _errors(
     return np.asarray(fit.torque_error), np.asarray(fit.k)[::count]
 
 
-# A window of more samples tells no more about what is wrong.
+# A window of more samples tells no more about what is wrong: forty seconds at 1 kHz.
 _MOST_SAMPLES = 40_000
 # As many rows share one compiled regressor.
 _MOST_ROWS = 4096
-_FOLDS = 5
+_FOLDS = 5  # of held-out errors: each fit has four fifths of the recording
 # Fewer torques per coefficient fit any hypothesis: half a second of clean motion was called wrong.
 # (Heuristic, of one simulated arm's short logs.)
 _EQUATIONS = 4
 # After so many periods of its cut-off, a thousandth is left of what a filter has seen.
 _FADED = 3.0
-# What noise may be of the accelerations' root mean square.
+# What noise may be of the accelerations' root mean square: inertias shrink by its square, 1 %.
 _NOISE_PART = 0.1
-_LOWEST, _HIGHEST, _CUTOFFS = 3.0, 12.0, 6  # [Hz], and how many of them are tried
+# Cut-offs [Hz], and how many of them are tried. (Heuristic: motion of arms is slower, and the
+# vibration of their gears is faster.)
+_LOWEST, _HIGHEST, _CUTOFFS = 3.0, 12.0, 6
 CUTOFF_OF_RATE = 0.2
-"""Highest cut-off of smoothed positions, as part of the sampling rate."""
+"""Highest cut-off of smoothed positions, as part of the sampling rate: five samples a period."""
+# Median intervals from which on what lies between two samples is not interpolated, a gap: one
+# period of the highest cut-off.
+_GAP = 1.0 / CUTOFF_OF_RATE
 SLOW = 0.1
-"""Part of a joint's top speed below which static friction, which no check fits, may be."""
-_APART = 0.2  # periods of the cut-off between rows that are kept
+"""Part of a joint's top speed below which static friction, which no check fits, may be.
+(Heuristic.)"""
+# Periods of the cut-off between rows that are kept: more than half a period would lose motion.
+_APART = 0.2
+_SPREAD_OVER = 0.5  # periods of the cut-off on either side that filters spread a sample over
 _LEAST_RANGE = 1e-12  # rad or m: a joint with less does not move
 SMALLEST_ERROR, LARGEST_ERROR = 1e-6, 10.0
 """Least and largest torque errors, relative to the torque; others count as these in logarithms."""
@@ -198,12 +215,11 @@ class Evidence:
     ) -> "Evidence":
         """Low-pass and thin out a recording; **raises** `ValueError` if it is too short.
 
+        - `recording`: its times about zero (`from_its_start`), which those of evidence count from.
         - `cutoff`: of the low pass [Hz]; by the noise of the positions if None.
         """
         valid = np.ones(recording.position.shape, bool) if valid is None else valid
         recording, valid = _window(recording, valid)
-        # From zero on: a tenth of a microsecond is lost in seconds since 1970.
-        recording = dataclasses.replace(recording, time=recording.time - recording.time[0])
         recording, valid = _uniform(recording, valid)
         interval = float(np.median(np.diff(recording.time)))
         cutoff = _cutoff(recording, interval) if cutoff is None else cutoff
@@ -213,7 +229,7 @@ class Evidence:
         ends = min(int(np.ceil(_FADED / (cutoff * interval))), recording.samples // 10)
         valid = valid.copy()
         valid[:ends] = valid[recording.samples - ends :] = False
-        reach = int(np.ceil(0.5 / (cutoff * interval)))
+        reach = int(np.ceil(_SPREAD_OVER / (cutoff * interval)))
         clear = _far_from_invalid(valid, reach)
         trim = preparation.trimmed(recording)
         inside = slice(trim, recording.samples - trim)
@@ -357,6 +373,14 @@ class Evidence:
         return float(np.mean(np.log(np.clip(errors, SMALLEST_ERROR, LARGEST_ERROR))))
 
 
+def from_its_start(recording: Recording) -> Recording:
+    """Return a recording with times from its start on, as `--between` counts them.
+
+    Of seconds since 1970, a tenth of a microsecond is lost.
+    """
+    return dataclasses.replace(recording, time=recording.time - recording.time[0])
+
+
 def _far_from_invalid(
     valid: Bool[np.ndarray, "samples joints"], reach: int
 ) -> Bool[np.ndarray, "samples joints"]:
@@ -421,11 +445,13 @@ def _cutoff(recording: Recording, interval: float) -> float:
 
 
 LEAST_GAIN = 0.15
-"""Least fall of the mean logarithm of the joints' errors once a cause is removed."""
+"""Least fall of the mean logarithm of the joints' errors once a cause is removed, 14 %. The best
+cause of a right recording has 0.01 at most (`scripts.studies.checks.margins`)."""
 ALIKE = LEAST_GAIN / 3.0
-"""Causes whose gains differ by a third of that are told apart by chance."""
-# A remedy must take away this part of the squares of the errors beyond noise, of joints with errors
-# of this part of their torque. (Smaller ones may be friction's that no model has.)
+"""Causes whose gains differ by a third of that are told apart by chance. (Heuristic.)"""
+# A remedy must take away this part of the squares of the errors beyond noise, most of them, of
+# joints with errors of this part of their torque. (Heuristic: smaller ones may be friction's that
+# no model has; right recordings leave 6 % at most, `scripts.studies.checks.margins`.)
 _REMOVED, _LARGE = 0.5, 0.05
 
 

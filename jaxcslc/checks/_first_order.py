@@ -25,11 +25,13 @@ from ._geometry import geometry_columns
 
 
 BLOCKS = 20
-"""Blocks of time: each shorter than what happens during a recording."""
-_FOLDS = 5  # a fold is every fifth block
-_STEP = 1e-4  # of finite differences [rad or m, or as a part]
-_LEAST_LEFT = 1e-8  # part of a column's squares that others leave, below which it says nothing
-_TOLERANCE = 1e-12  # of eigenvalues of scaled normal equations that count
+"""Blocks of time: each shorter than what happens during a recording, and enough of them for the
+standard errors of `FirstOrder.estimate`."""
+_FOLDS = 5  # a fold is every fifth block, so that each has all parts of the recording
+_STEP = 1e-4  # of finite differences [rad or m, or as a part]: exact to as much, rounding 1e-12
+# Part of a column's squares that others leave, below which it says nothing: that of `_STEP`.
+_LEAST_LEFT = _STEP**2
+_TOLERANCE = 1e-12  # of eigenvalues of scaled normal equations: less may be rounding
 # Of scaled normal equations that are solved without eigenvalues, in a fiftieth of the time: all of
 # these count then, and rounding, 2e-16 times this, is below a millionth of the solution.
 _LARGEST_CONDITION = 1e8

@@ -29,9 +29,11 @@ from ._evidence import (
 from ._findings import finding
 
 
-_STEP = 1e-4  # of finite differences [m or rad]
-_TOLERANCE = 1e-10  # of singular values that count: parameters that no motion shows are none
-_FOLDS, _MOST_ROWS = 5, 1000  # of the search for axes
+_STEP = 1e-4  # of finite differences [m or rad]: exact to as much, rounding 1e-12
+# Of eigenvalues of normal equations that count, 1e-5 of singular values: parameters that no motion
+# shows have those of rounding.
+_TOLERANCE = 1e-10
+_FOLDS, _MOST_ROWS = 5, 1000  # of the search for axes; ten rows for each of a hundred parameters
 _CHANGED = "changed"  # name of a length that the file has as zero
 
 
@@ -124,20 +126,22 @@ def geometry_columns(
     # Of the normal equations: their eigenvalues are squares of singular values.
     inverse = np.linalg.pinv((rows / scale).T @ (rows / scale), _TOLERANCE, hermitian=True)
     parameters = inverse @ ((rows / scale).T @ torque.ravel()) / scale
-    before = _torque_of_bodies(robot, *motion, parameters)
+    before = _torque_of_bodies(robot, parameters, *motion)
     columns = [
-        (_torque_of_bodies(error.robot(robot, _STEP), *motion, parameters) - before) / _STEP
+        (_torque_of_bodies(error.robot(robot, _STEP), parameters, *motion) - before) / _STEP
         for error in errors
     ]
     return np.stack(columns, axis=-1)
 
 
-def axis_causes(evidence: Evidence) -> list[Cause]:
+def axis_causes(evidence: Evidence, least: float) -> list[Cause]:
     """Return the revolute joint that turns about another axis than the file's, if one does.
 
     The others that are tried are x and y of the frame that the joint turns, at its zero position,
     both ways; -z is a sign. Lengths and axes are tried by the equations of `body_regressor`, with
-    the friction of the network.
+    the friction of the network. Nothing is looked for behind an axis: it must explain the torque.
+
+    - `least`: error beyond noise, as part of the torque, that matters: an axis leaves less.
     """
     network, robot = evidence.network, evidence.network.robot
     if network.joint_count != robot.joint_count or not robot.has_all_lengths:
@@ -150,6 +154,8 @@ def axis_causes(evidence: Evidence) -> list[Cause]:
                 after = _errors_of(evidence, _about(robot, joint, sign * axis))
                 gain = float(np.mean(np.log(before / after)))
                 if gain < LEAST_GAIN or not removes(before, after, evidence.noise):
+                    continue
+                if np.any(after**2 - evidence.noise**2 > least**2):
                     continue
                 worst, own = int(np.argmax(before / after)), network.output_names[joint]
                 text = (
@@ -239,16 +245,16 @@ def body_regressor(
 
 def _torque_of_bodies(
     robot: Manipulator,
+    parameters: Float[np.ndarray, " parameters"],
     q: Float[np.ndarray, "samples joints"],
     qd: Float[np.ndarray, "samples joints"],
     qdd: Float[np.ndarray, "samples joints"],
-    parameters: Float[np.ndarray, " parameters"],
 ) -> Float[np.ndarray, "samples joints"]:
     """Return `body_regressor` times parameters, by one recursion without the regressor.
 
     >>> import numpy as np, jaxcslc as jc
     >>> arm, still = jc.examples.pendulum(), np.zeros((1, 1))
-    >>> _torque_of_bodies(arm, still, still, still + 1.0, np.arange(11.0)).round(6)
+    >>> _torque_of_bodies(arm, np.arange(11.0), still, still, still + 1.0).round(6)
     array([[70.86]])
     """
     of_links = parameters.reshape(-1, len(BODY) + 1).tolist()

@@ -6,9 +6,10 @@ have been. The masses of the robot's file tell apart what the recording alone do
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -22,25 +23,37 @@ from ._first_order import BLOCKS, Columns, FirstOrder, Score, gravity_columns
 from ._geometry import geometry_errors
 
 
-# Smallest faults that are named: parts, and angles [rad]. Sensors and files are right within them.
+# Smallest faults that are named: parts, and angles [rad]. (Heuristic: sensors and files are right
+# within them; what reports allow for unnamed is `Tolerances` of `jaxcslc.uncertainty`.)
 _SCALE, _ZERO, _TILT, _CLOCK, _STRETCH = 0.05, 0.02, 0.03, 0.02, 0.03
+_OTHER_MASSES = 2.0  # factor of the file's gravity beyond which it is no clock. (Heuristic.)
 _LENGTH = 0.01  # m; an angle between axes is as `_TILT`
 _LENGTH_ROUNDS = 3  # each takes another derivation
-# As many causes are refined.
-_REFINED = 5
-# A cause also counts if it takes away this part of the squares of one joint's error, and that is
-# a part of the torque that matters.
+# As many causes are refined; of those whose gain of first order, a bound for small faults, is this
+# part of what a cause must take away. (Heuristic: larger faults have larger gains once refined.)
+_REFINED, _PROMISING = 5, 0.5
+# A cause also counts if it takes away this part of the squares of one joint's error, which halves
+# it, and that is a part of the torque that matters. (Heuristic.)
 _OF_ONE_JOINT, _MATTERS = 0.75, 0.01
-_ROUNDS, _SMALL_STEP, _LARGEST_STEP = 10, 2e-3, 4.0
-# Shares of gravity in the torque, over that of motion, that are tried.
+# Rounds of a refinement; the step that ends it, a tenth of the smallest fault; the largest factor,
+# offset [rad or m] and stretch of one step, beyond which nothing is of first order.
+_ROUNDS, _SMALL_STEP, _LARGEST_STEP, _LARGEST_OFFSET, _LARGEST_STRETCH = 10, 2e-3, 4.0, 0.5, 2.0
+_LAST = 0.2  # of the smallest fault: the step of a direction or a length that is the last one
+# Shares of gravity in the torque, over that of motion, that are tried; halved about the best.
 _SHARES = (-1.5, -1.0, -0.7, 0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0, 5.0)
-# Shares of gravity below which it was taken out, even without masses in the file; a share that is
-# negative has gravity the other way round.
+# Shares of gravity below which it was taken out, even without masses in the file. (Heuristic: a
+# clock that makes such a share is nearly four times too slow.)
 _NO_SHARE = 0.07
-# The file's gravity is there from this factor on.
+# The file's gravity is there from this factor on, and with the other sign, it acts the other way.
+# (Heuristic: masses of files are wrong by 20 %, `_USUAL`; twice as much is not usual.)
 _PRESENT = 0.6
-# Blocks in which something touches the arm: errors over the median of all, and how many at most.
-_TOUCHED, _MOST_TOUCHED, _TRIMS = 4.0, 0.4, 4
+TOUCHED = 4.0
+"""Error of a block over the median of all from which something may touch the arm.
+
+(Heuristic: 40 of 120 right recordings have such a block, `scripts.studies.checks.margins`. What its
+removal gains decides.)"""
+# Most blocks that are touched: the others are the rule; and rounds of trimmed least squares.
+_MOST_TOUCHED, _TRIMS = 0.4, 4
 
 
 def model_causes(evidence: Evidence, *, lengths: bool = True) -> list[Cause]:
@@ -50,22 +63,9 @@ def model_causes(evidence: Evidence, *, lengths: bool = True) -> list[Cause]:
     """
     first = FirstOrder.of(evidence)
     before = first.score()
-    joints = range(evidence.network.joint_count)
-    options: list[tuple[str, int, Columns]] = [
-        *(("scale of torque", joint, first.gains(joint)) for joint in joints),
-        *(("zero", joint, first.group("zero", joint)) for joint in joints),
-        *(("scale of position", joint, first.group("scale", joint)) for joint in joints),
-        ("scales of torques", 0, first.gains(*joints)),
-        ("share of gravity", 0, first.group("motion")),
-        ("drift", 0, first.growing_friction()),
-        *(("tool", block, first.payload_from(block)) for block in range(2, BLOCKS - 1)),
-    ]
-    if "gravity" in first.groups:
-        options.append(("mounting", 0, first.group("gravity")))
-    options += _lengths(first) if lengths else []
-    whole = first.quick()
-    gains = [whole - first.quick(columns) for _, _, columns in options]
-    order = [i for i in np.argsort(gains)[::-1] if gains[i] > 0.5 * LEAST_GAIN]
+    options = possible_causes(first, lengths=lengths)
+    gains = first_order_gains(first, options)
+    order = [i for i in np.argsort(gains)[::-1] if gains[i] > _PROMISING * LEAST_GAIN]
     causes: list[Cause] = []
     # Lengths are many: they have a place of their own.
     tried = [options[i] for i in order if options[i][0] != "length"][:_REFINED]
@@ -83,7 +83,37 @@ def model_causes(evidence: Evidence, *, lengths: bool = True) -> list[Cause]:
     return causes
 
 
-def _lengths(first: FirstOrder) -> list[tuple[str, int, Columns]]:
+Option: TypeAlias = tuple[str, int, Columns]
+"""Kind of a cause, the joint, block or length that it is of, and the columns that it adds."""
+
+
+def possible_causes(first: FirstOrder, *, lengths: bool = True) -> list[Option]:
+    """Return the causes in the model that are tried.
+
+    - `lengths`: whether those of the robot's file are.
+    """
+    joints = range(first.network.joint_count)
+    options: list[Option] = [
+        *(("scale of torque", joint, first.gains(joint)) for joint in joints),
+        *(("zero", joint, first.group("zero", joint)) for joint in joints),
+        *(("scale of position", joint, first.group("scale", joint)) for joint in joints),
+        ("scales of torques", 0, first.gains(*joints)),
+        ("share of gravity", 0, first.group("motion")),
+        ("drift", 0, first.growing_friction()),
+        *(("tool", block, first.payload_from(block)) for block in range(2, BLOCKS - 1)),
+    ]
+    if "gravity" in first.groups:
+        options.append(("mounting", 0, first.group("gravity")))
+    return options + (_lengths(first) if lengths else [])
+
+
+def first_order_gains(first: FirstOrder, options: Sequence[Option]) -> list[float]:
+    """Return the fall of the mean logarithm of errors of a fit with the columns of each cause."""
+    whole = first.quick()
+    return [whole - first.quick(columns) for _, _, columns in options]
+
+
+def _lengths(first: FirstOrder) -> list[Option]:
     """Return options of lengths and angles of the robot's file."""
     if "length" not in first.groups:
         return []
@@ -91,15 +121,82 @@ def _lengths(first: FirstOrder) -> list[tuple[str, int, Columns]]:
     return [("length", i, first.group("length", i)) for i in range(len(errors))]
 
 
-# A fault is found by its size alone from this many standard errors on; once it is mended, fewer are
-# left. (Heuristic: what the model lacks is no normal noise.)
-_CLEAR, _GONE = 5.0, 3.0
+CLEAR = 5.0
+"""Size of a fault in standard errors from which it may be named by its size alone.
+
+Errors of twenty blocks are Student's with 19 degrees of freedom. In 1 % of right recordings, one of
+the 28 faults of a six-joint arm exceeds 4.3 by chance. (Heuristic beyond that: what the model lacks
+is no normal noise. 3 of 120 right recordings exceed 5, `scripts.studies.checks.margins`; the tests
+below must find them.)"""
+# Standard errors of what is left of a fault once it is mended: less than noise has in 1 % of
+# recordings, by Student's distribution.
+_GONE = 3.0
+_HALF = 0.5  # of the least fault of its kind may be left as well
 # A fault has one size, whatever the low pass. What noise of the accelerations passes for shrinks to
 # less than half if the cut-off is halved. (Heuristic: a third is between the two.)
 _COARSER, _CHANGED = 0.5, 1.0 / 3.0
 _SAME = 0.97  # of the largest size in standard errors: causes that add the same torque
-# Zeros that are off by more [rad or m] are no fault of first order: their estimate says nothing.
+# Zeros that are off by more [rad or m] are no fault of first order: the second is a quarter of it.
 _FIRST_ORDER = 0.5
+
+
+# Least sizes of faults that are named by their size: that of a clock is in the torque of motion,
+# which is as its square. Lengths are many, and other errors pass for small ones of them.
+_LEAST: Mapping[str, float] = MappingProxyType(
+    {
+        "clock": 2.0 * _CLOCK,
+        "zero": _ZERO,
+        "scale of torque": _SCALE,
+        "length": 2.0 * max(_LENGTH, _TILT),
+    }
+)
+
+
+class SizedFault(NamedTuple):
+    """Estimated size of a fault: a part, or m or rad.
+
+    - `size`, `error`: and its standard error.
+    - `kind`, `which`: as of an `Option`.
+    """
+
+    size: float
+    error: float
+    kind: str
+    which: int
+
+    @property
+    def significance(self) -> float:
+        """Size in standard errors."""
+        return abs(self.size) / max(self.error, TINY)
+
+
+def sized_faults(evidence: Evidence, *, lengths: bool = True) -> list[SizedFault]:
+    """Return the faults whose sizes matter and are possible, however certain they are.
+
+    - `lengths`: whether those of the robot's file are among them.
+    """
+    first, robot = FirstOrder.of(evidence), evidence.network.robot
+    errors = geometry_errors(evidence.network)
+    faults: list[SizedFault] = []
+    for kind, which, columns in _sized_options(first, lengths):
+        size, error = first.estimate(columns)
+        possible = abs(size) > _LEAST[kind]
+        if kind == "zero":
+            possible &= abs(size) < _FIRST_ORDER
+        elif kind == "length":
+            possible &= errors[which].is_plausible(robot, size)
+        faults += [SizedFault(size, error, kind, which)] if possible else []
+    return faults
+
+
+def _sized_options(first: FirstOrder, lengths: bool) -> list[Option]:
+    joints = range(first.network.joint_count)
+    return [
+        ("clock", 0, first.group("motion")),
+        *(("zero", joint, first.group("zero", joint)) for joint in joints),
+        *(("scale of torque", joint, first.gains(joint)) for joint in joints),
+        *(_lengths(first) if lengths else []),
+    ]
 
 
 def significant_cause(evidence: Evidence, *, lengths: bool = True) -> list[Finding]:
@@ -112,38 +209,19 @@ def significant_cause(evidence: Evidence, *, lengths: bool = True) -> list[Findi
 
     **Returns** one finding at most.
     """
-    first = FirstOrder.of(evidence)
-    joints = range(evidence.network.joint_count)
-
-    def options(first: FirstOrder) -> dict[tuple[str, int], Columns]:
-        of_lengths = _lengths(first) if lengths else []
-        return {
-            ("clock", 0): first.group("motion"),
-            **{("zero", joint): first.group("zero", joint) for joint in joints},
-            **{("scale of torque", joint): first.gains(joint) for joint in joints},
-            **{(kind, which): columns for kind, which, columns in of_lengths},
-        }
-
-    least = {"clock": 2.0 * _CLOCK, "zero": _ZERO, "scale of torque": _SCALE}
-    # Lengths are many, and other errors pass for small ones of them.
-    least["length"] = 2.0 * max(_LENGTH, _TILT)
-    found = [(*first.estimate(columns), *option) for option, columns in options(first).items()]
-    found = [x for x in found if abs(x[0]) > max(least[x[2]], _CLEAR * x[1])]
-    found = [x for x in found if x[2] != "zero" or abs(x[0]) < _FIRST_ORDER]
-    lengths_of, robot = geometry_errors(evidence.network), evidence.network.robot
-    found = [x for x in found if x[2] != "length" or lengths_of[x[3]].is_plausible(robot, x[0])]
+    faults = sized_faults(evidence, lengths=lengths)
+    found = [fault for fault in faults if fault.significance > CLEAR]
     if not found:
         return []
     # Of causes that add the same torque, the one of recordings comes first.
-    significance = max(abs(x[0]) / max(x[1], TINY) for x in found)
-    size, error, kind, which = next(
-        x for x in found if abs(x[0]) / max(x[1], TINY) > _SAME * significance
-    )
-    network = evidence.network
+    most = _SAME * max(fault.significance for fault in found)
+    size, error, kind, which = next(fault for fault in found if fault.significance > most)
+    network, joints = evidence.network, range(evidence.network.joint_count)
 
     def estimated(others: Evidence) -> tuple[float, float]:
         first = FirstOrder.of(others)
-        return first.estimate(options(first)[kind, which])
+        options = _sized_options(first, lengths)
+        return first.estimate(next(x for *at, x in options if at == [kind, which]))
 
     coarser = Evidence.of(network, evidence.recording, evidence.valid, _COARSER * evidence.cutoff)
     same, doubt = estimated(coarser)
@@ -179,13 +257,13 @@ def significant_cause(evidence: Evidence, *, lengths: bool = True) -> list[Findi
         listed = f"{name} {1.0 + size:.3g}"
         result = finding("torque scale: of some joints", f"{text}; {certain}", name, listed=listed)
     rest, error = estimated(Evidence.of(network, mended, evidence.valid))
-    if abs(rest) >= max(0.5 * least[kind], _GONE * error):
+    if abs(rest) >= max(_HALF * _LEAST[kind], _GONE * error):
         return []
     # A length of the file may add the same torque.
-    others = [x for x in found if x[2] == "length" and kind != "length"]
-    alike = [x for x in others if abs(x[0]) / max(x[1], TINY) > _SAME * significance]
+    others = [fault for fault in found if fault.kind == "length" and kind != "length"]
+    alike = [fault for fault in others if fault.significance > most]
     if alike:
-        _, what = _network_with_length(evidence.network, alike[0][3], alike[0][0])
+        _, what = _network_with_length(evidence.network, alike[0].which, alike[0].size)
         other = finding("length", "", what=what)
         result = result.or_else(other.cause, other.remedy)
     return [result]
@@ -281,7 +359,7 @@ def _zero_position(trial: _Trial) -> Iterator[Cause]:
         patterns = Change(motion_offsets=offset).patterns(trial.evidence.patterns)
         first = FirstOrder.of(trial.evidence, patterns, only=("zero", trial.which))
         steps = float(first.sizes(first.group("zero"))[0])
-        offset[trial.which] += np.clip(steps, -0.5, 0.5)
+        offset[trial.which] += np.clip(steps, -_LARGEST_OFFSET, _LARGEST_OFFSET)
         if abs(steps) < _SMALL_STEP:
             break
     size = float(-offset[trial.which])
@@ -307,7 +385,7 @@ def _position_scale(trial: _Trial) -> Iterator[Cause]:
         patterns = Change(motion_factors=factors).patterns(trial.evidence.patterns)
         first = FirstOrder.of(trial.evidence, patterns, only=("scale", trial.which))
         step = float(first.sizes(first.group("scale"))[0])
-        factors[trial.which] *= np.clip(1.0 + step, 0.5, 2.0)
+        factors[trial.which] *= np.clip(1.0 + step, 1.0 / _LARGEST_STRETCH, _LARGEST_STRETCH)
         if abs(step) < _SMALL_STEP:
             break
     factor = float(1.0 / factors[trial.which])
@@ -389,7 +467,9 @@ def _gravity_share(trial: _Trial) -> Iterator[Cause]:
         )
         return
     clock = share**-0.5
-    if abs(clock - 1.0) < _CLOCK or (known and not 0.5 < trial.factor < 2.0):
+    if abs(clock - 1.0) < _CLOCK or (
+        known and not 1.0 / _OTHER_MASSES < trial.factor < _OTHER_MASSES
+    ):
         return
     slow = Recording(
         evidence.recording.time / clock, evidence.recording.position, evidence.recording.torque
@@ -421,7 +501,7 @@ def _mounting(trial: _Trial) -> Iterator[Cause]:
         tilted = _mounted(evidence, gravity)
         first = FirstOrder.of(tilted, only=("gravity", 0))
         turn = float(np.linalg.norm(np.cross(first.sizes(first.group("gravity")), gravity)))
-        if turn < 0.2 * _TILT * size**2 or round == 2:
+        if turn < _LAST * _TILT * size**2 or round == 2:
             break
     yield from trial.cause(
         "mounting",
@@ -457,7 +537,7 @@ def _length(trial: _Trial) -> Iterator[Cause]:
         network, what = _network_with_length(trial.evidence.network, trial.which, size)
         mended = dataclasses.replace(trial.evidence, network=network)
         first = FirstOrder.of(mended, only=("length", trial.which))
-        if abs(step) < 0.2 * least:
+        if abs(step) < _LAST * least:
             break
     if not geometry_errors(trial.evidence.network)[trial.which].is_plausible(
         trial.evidence.network.robot, size
@@ -520,16 +600,7 @@ def _tool(trial: _Trial) -> Iterator[Cause]:
 
 def _contact(evidence: Evidence, first: FirstOrder, before: Score) -> Iterator[Cause]:
     """Yield a stretch whose torque the coefficients of all others do not explain."""
-    # Each time the blocks with the largest errors are left out of the fit (least trimmed squares).
-    left = np.zeros(BLOCKS, bool)
-    ratio = np.zeros(first.counts.shape)
-    for _ in range(_TRIMS):
-        errors = first.without(left).block_errors(first)
-        usual = np.median(errors[~left], axis=0)
-        ratio = errors / np.maximum(usual, np.maximum(evidence.noise, TINY))
-        ratio = np.where(errors > _MATTERS, ratio, 0.0)
-        left = np.zeros(BLOCKS, bool)
-        left[np.argsort(ratio.max(axis=1))[BLOCKS - round(_MOST_TOUCHED * BLOCKS) :]] = True
+    ratio = block_ratios(evidence, first)
     touched = _main_stretch(ratio.max(axis=1))
     # The blocks beside may be touched in part.
     wide = touched.copy()
@@ -539,7 +610,7 @@ def _contact(evidence: Evidence, first: FirstOrder, before: Score) -> Iterator[C
         return
     start, end = first.edges[np.flatnonzero(wide)[0]], first.edges[np.flatnonzero(wide)[-1] + 1]
     names = np.array(evidence.network.output_names)
-    joints = names[np.any((ratio > _TOUCHED) & wide[:, None], axis=0)]
+    joints = names[np.any((ratio > TOUCHED) & wide[:, None], axis=0)]
     trial = _Trial(evidence, first, before, "contact", 0, Columns(np.zeros((1, 1, 1, 0))), np.nan)
 
     def without() -> Evidence:
@@ -559,9 +630,26 @@ def _contact(evidence: Evidence, first: FirstOrder, before: Score) -> Iterator[C
     )
 
 
+def block_ratios(evidence: Evidence, first: FirstOrder) -> Float[np.ndarray, "blocks joints"]:
+    """Return the errors of blocks over the usual ones; 0 where they do not matter.
+
+    Least trimmed squares: each time, the blocks with the largest errors are left out of the fit.
+    """
+    left = np.zeros(BLOCKS, bool)
+    ratio = np.zeros(first.counts.shape)
+    for _ in range(_TRIMS):
+        errors = first.without(left).block_errors(first)
+        usual = np.median(errors[~left], axis=0)
+        ratio = errors / np.maximum(usual, np.maximum(evidence.noise, TINY))
+        ratio = np.where(errors > _MATTERS, ratio, 0.0)
+        left = np.zeros(BLOCKS, bool)
+        left[np.argsort(ratio.max(axis=1))[BLOCKS - round(_MOST_TOUCHED * BLOCKS) :]] = True
+    return ratio
+
+
 def _main_stretch(ratio: Float[np.ndarray, " blocks"]) -> Bool[np.ndarray, " blocks"]:
     """Mark the blocks beside the one with the largest ratio that are touched as well."""
-    touched, top = ratio > _TOUCHED, int(np.argmax(ratio))
+    touched, top = ratio > TOUCHED, int(np.argmax(ratio))
     stretch = np.zeros(len(ratio), bool)
     for blocks in (range(top, len(ratio)), range(top, -1, -1)):
         for block in blocks:
@@ -603,10 +691,12 @@ class FileFactors:
         return float(np.median(self.factor)) if self.joints.size else np.nan
 
 
-# A joint is loaded if gravity's torque is this part of that of the most loaded joint, and at least
-# as large as what motion takes; its factor counts if its relative error is below a bound.
+# A joint is loaded if gravity's torque is this part of that of the most loaded joint (heuristic),
+# and at least as large as what motion takes; its factor counts if its relative error is below what
+# masses of files are usually wrong by.
 _LOADED, _KNOWN = 0.15, 0.2
-_ROWS_ALIKE = 5.0  # rows that share their errors
+_ROWS_ALIKE = 5.0  # rows that share their errors: five a period of the cut-off are kept
+_EIGENVALUES = 1e-10  # of normal equations of four columns that count
 
 
 def file_factors(evidence: Evidence) -> FileFactors | None:
@@ -632,7 +722,7 @@ def file_factors(evidence: Evidence) -> FileFactors | None:
         terms = (gravity[:, joint], motion[:, joint], qd[:, joint], np.sign(qd[:, joint]))
         matrix = np.stack(terms, axis=1)[rows]
         scale = np.maximum(np.sqrt(np.sum(matrix**2, axis=0)), TINY)
-        inverse = np.linalg.pinv((matrix / scale).T @ (matrix / scale), 1e-10, True)
+        inverse = np.linalg.pinv((matrix / scale).T @ (matrix / scale), _EIGENVALUES, True)
         solution = inverse @ ((matrix / scale).T @ torque[rows, joint]) / scale
         residual = torque[rows, joint] - matrix @ solution
         variance = _ROWS_ALIKE * float(np.mean(residual**2))
@@ -648,9 +738,14 @@ def _file_factor(evidence: Evidence) -> float:
     return np.nan if factors is None else factors.common
 
 
-# What files' masses are usually wrong by, as a logarithm; how many standard deviations, and which
-# factor, are more than that; and the deviation of joints' factors from each other that is.
-_USUAL, _SIGNIFICANT, _FACTOR, _SPREAD = 0.2, 2.5, 1.25, 0.5
+# What files' masses are usually wrong by, as a logarithm (heuristic; so are those of
+# `scripts.studies.checks.robots`). Standard deviations that 1 % of right files exceed, by the
+# normal distribution; and a factor that is named, 20 % and some.
+_USUAL, _SIGNIFICANT, _FACTOR = 0.2, 2.5, 1.25
+SPREAD = 0.5
+"""Deviation of joints' factors from each other, as a logarithm, of another robot's file.
+
+(Heuristic: right recordings have 0.1 at most, `scripts.studies.checks.margins`.)"""
 
 
 def file_findings(evidence: Evidence) -> Iterator[Finding]:
@@ -670,7 +765,7 @@ def file_findings(evidence: Evidence) -> Iterator[Finding]:
             for name, factor in zip(names[factors.joints], factors.factor, strict=True)
         )
         text = f"gravity's torques are those of the masses in the robot's file times {listed}"
-        if factors.joints.size > 1 and spread > _SPREAD:
+        if factors.joints.size > 1 and spread > SPREAD:
             yield finding("wrong robot", text)
         elif abs(mean) > max(np.log(_FACTOR), _SIGNIFICANT / np.sqrt(weights.sum())):
             # Lengths of another robot change gravity's torque relative to that of motion.

@@ -11,22 +11,25 @@ from ..recordings import Recording, encoder_resolution, stale_rows
 from ._findings import Finding, finding
 
 
-# A controller samples between these intervals; what lies outside is in another unit [s].
+# A controller samples between these intervals [s]; what lies outside is in another unit. The ratio
+# of both is ten thousand: a thousand for the unit, and what controllers of arms differ by.
 _SHORTEST, _LONGEST = 2e-5, 0.2
 _UNITS = {
     1e-3: ("milliseconds", "ms"),
     1e-6: ("microseconds", "us"),
     1e-9: ("nanoseconds", "ns"),
 }
-# A gap is longer than so many intervals, a lost row than so many: one and a half would be the
-# bound between one period and two without jitter.
+# A gap is longer than so many intervals (two periods of the highest cut-off), a lost row than so
+# many: one and a half would be the bound between one period and two without jitter.
 _GAP, _LOST = 10.0, 1.6
-# Part of intervals from which lost rows are named.
+# Part of intervals from which lost rows are named: one in some seconds. (Heuristic.)
 _MOST_LOST = 1e-3
 # Standard deviation of intervals, as part of their median, from which smoothing suffers.
+# (Heuristic.)
 _JITTER = 0.05
 OTHER_RATE = 1.2
-"""Recordings, or halves of one, at rates that differ by more are not smoothed alike."""
+"""Recordings, or halves of one, at rates that differ by more are not smoothed alike. (Heuristic: a
+cut-off chosen for one is another part of the other's rate.)"""
 
 
 def time_unit(recording: Recording) -> tuple[float, Finding | None]:
@@ -102,12 +105,17 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
         )
 
 
-# Part of rows, or of a joint's samples, from which on something is said.
-_STALE, _REPEATED, _CLIPPED, _OUTLYING = 2e-3, 0.3, 5e-3, 5e-5
-# However few, outliers that hold this part of a joint's variance are named.
+# Part of rows, or of a joint's samples, from which on something is said. (Heuristic: fewer change
+# less than a standard error.)
+_STALE, _CLIPPED, _OUTLYING = 2e-3, 5e-3, 5e-5
+REPEATED = 0.3
+"""Part of the rows that repeat positions, or torques, of a slower source; it is 0.5 at half
+the rate. (Heuristic: less is loss of single rows.)"""
+# However few, outliers that hold this part of a joint's variance are named. (Heuristic.)
 _WEIGHTY = 0.05
-_MOTIONLESS = 3.0  # counts
-_FIXED = 0.01  # rad or m that a joint may move by that is taken as fixed
+_MOTIONLESS = 3.0  # counts: noise about the edge of one makes two
+_FIXED = 0.01  # rad or m that a joint may move by that is taken as fixed: half of `_ZERO`'s
+_MOVING_ROWS, _LEVELS = 100, 50  # fewest rows in motion, and levels of a torque, that say something
 
 
 def sample_findings(
@@ -215,7 +223,8 @@ class Outliers:
         return dataclasses.replace(recording, **changed)
 
 
-# An outlier is so many standard deviations from the median of so many samples around it.
+# An outlier is so many standard deviations from the median of so many samples around it: of normal
+# noise, none in any recording; noise of other kinds has longer tails.
 _FAR, _WINDOW = 12.0, 7
 _DEVIATION = 1.4826  # standard deviation of a normal variable, in median absolute values
 # Its distance from the mean of its two neighbours is at least this part of that: one in a pair of
@@ -223,7 +232,11 @@ _DEVIATION = 1.4826  # standard deviation of a normal variable, in median absolu
 _ALONE = 0.45
 LEAST_DISTANCE = {"position": 0.02, "torque": 0.6}
 """Outliers are further away than this part of the range. Dry friction makes torques jump by half of
-theirs, back and forth within a few samples where a joint hesitates."""
+theirs, back and forth within a few samples where a joint hesitates. (Heuristic for positions.)"""
+# The range is between these quantiles, so that outliers are not in it.
+_RANGE = (0.02, 0.98)
+# Distances from medians that are taken for steps: half of this quantile.
+_STEPS = 0.95
 
 
 def mark_outliers(
@@ -252,8 +265,8 @@ def mark_outliers(
     alone = np.abs(values - 0.5 * (beside[:-2] + beside[2:])) > _ALONE * distance
     usual = _DEVIATION * np.median(distance, axis=0)
     # Values of a coarse grid differ from their neighbours' median by nothing, or by steps.
-    extent = np.ptp(np.quantile(values, [0.02, 0.98], axis=0), axis=0)
-    steps = np.maximum(usual, np.quantile(distance, 0.95, axis=0) / 2.0)
+    extent = np.ptp(np.quantile(values, _RANGE, axis=0), axis=0)
+    steps = np.maximum(usual, np.quantile(distance, _STEPS, axis=0) / 2.0)
     counts = np.maximum(np.maximum(steps, encoder_resolution(values) / 3.0), 1e-12)
     return alone & (distance > np.maximum(_FAR * counts, least * extent))
 
@@ -282,6 +295,11 @@ def without_outliers(recording: Recording) -> Recording:
     return Outliers.of(recording).mended(recording)
 
 
+# A limit holds four times as many torques as the levels next to it together, and more than four, of
+# more levels than a coarse sensor has at rest.
+_HELD, _LEVELS_OF_CLIPPED = 4, 8
+
+
 def clipping(torque: Float[np.ndarray, "samples joints"]) -> Bool[np.ndarray, "samples joints"]:
     """Mark the torques that a limit holds: many equal ones at the end of a joint's range.
 
@@ -297,7 +315,9 @@ def clipping(torque: Float[np.ndarray, "samples joints"]) -> Bool[np.ndarray, "s
     for joint, column in enumerate(torque.T):
         levels, counts = np.unique(column, return_counts=True)
         for end, below in ((0, slice(1, 4)), (-1, slice(-4, -1))):
-            if levels.size > 8 and counts[end] > max(4, 4 * int(np.sum(counts[below]))):
+            if levels.size > _LEVELS_OF_CLIPPED and counts[end] > _HELD * max(
+                1, int(np.sum(counts[below]))
+            ):
                 clipped[:, joint] |= column == levels[end]
     return clipped
 
@@ -311,7 +331,7 @@ def motionless(recording: Recording) -> Bool[np.ndarray, " joints"]:
 def _repetition(recording: Recording) -> Iterator[Finding]:
     """Find rows, or quantities, that repeat while joints move."""
     moving = _moving(recording)
-    if moving.sum() < 100:
+    if moving.sum() < _MOVING_ROWS:
         return
     stale = stale_rows(recording)
     part = float(np.mean(stale[moving]))
@@ -324,7 +344,7 @@ def _repetition(recording: Recording) -> Iterator[Finding]:
         part = float(np.mean((repeats[quantity] & ~repeats[other])[moving]))
         # Repetitions of a torque of few levels are rounding.
         levels = [np.unique(column).size for column in recording.torque.T]
-        if part > _REPEATED and (quantity == "position" or np.median(levels) >= 50):
+        if part > REPEATED and (quantity == "position" or np.median(levels) >= _LEVELS):
             every = round(1.0 / (1.0 - part))
             yield finding(
                 "rate: repeats",
@@ -343,14 +363,19 @@ def repeats_row_before(values: Float[np.ndarray, "samples joints"]) -> Bool[np.n
     return np.append(False, np.all(values[1:] == values[:-1], axis=1))
 
 
+# Rows over which motion is looked at, encoder steps per row, and part of the greatest speed. The
+# values are of joints whose every reading is a new one. (Heuristic.)
+_AHEAD, _SEVERAL_STEPS, _SLOW = 8, 2.0, 0.1
+
+
 def _moving(recording: Recording) -> Bool[np.ndarray, " samples"]:
     """Mark rows around which some joint moves by several counts from row to row."""
-    position, reach = recording.position, 8
+    position, reach = recording.position, _AHEAD
     ahead = np.zeros(position.shape)
     ahead[reach:-reach] = np.abs(position[2 * reach :] - position[: -2 * reach]) / (2 * reach)
-    fastest = np.quantile(ahead, 0.98, axis=0)
-    steps = 2.0 * np.maximum(encoder_resolution(position), 1e-12)
-    return np.any((ahead > 0.1 * fastest) & (ahead > steps), axis=1)
+    fastest = np.quantile(ahead, _RANGE[1], axis=0)
+    steps = _SEVERAL_STEPS * np.maximum(encoder_resolution(position), 1e-12)
+    return np.any((ahead > _SLOW * fastest) & (ahead > steps), axis=1)
 
 
 def _local_median(values: Float[np.ndarray, "samples joints"]) -> np.ndarray:

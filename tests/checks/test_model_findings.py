@@ -10,12 +10,14 @@ import pytest
 
 import jaxcslc as jc
 import sim
+from jaxcslc.checks import _evidence
 from jaxcslc.checks._channel_findings import Channels
 from jaxcslc.checks._evidence import Change, Evidence, removes
 from jaxcslc.checks._first_order import BLOCKS, FirstOrder, gravity_columns
 from jaxcslc.checks._model_findings import file_factors
 from scripts.studies.checks.robots import FILES, Conditions, Fault, Run, arm, record
 from scripts.studies.checks.spoiler import clean_conditions
+from scripts.studies.checks.spoilers import spoilt
 
 
 ARM, SEED = "Gen2", 4
@@ -149,6 +151,28 @@ def test_each_cause_is_named_first(name: str, network: jc.CSLC, clean: jc.Record
     assert first.kind == kind
     assert joint in first.joint
     assert text in first.evidence
+
+
+def test_times_count_from_the_start_of_a_long_recording(
+    network: jc.CSLC, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only the window with the most motion of it is looked at; times are since 1970."""
+    monkeypatch.setattr(_evidence, "_MOST_SAMPLES", 7000)
+    pushed = record(ARM, Conditions(duration=30.0), SEED, Fault(push=20.0)).recording
+    assert Evidence.of(network, pushed).recording.time[0] > 1.0
+    since_1970 = dataclasses.replace(pushed, time=1.7e9 + pushed.time)
+    first = jc.check(network, since_1970).findings[0]
+    assert first.kind == "contact"
+    # From 12 s to 16 s, in blocks of 1.4 s; those beside them count as well.
+    start, end = map(float, re.findall(r"([\d.]+) s", first.evidence)[:2])
+    assert 12.0 - 2.8 < start < 12.0 and 16.0 < end < 16.0 + 2.8
+
+
+def test_torques_that_wrong_positions_do_not_explain_are_not_clipped() -> None:
+    """Friction holds the torque of a slow joint, and the sign of another joint is wrong."""
+    network, case = arm("Panda").network, spoilt("Panda", "sign of one position", 1, 0)
+    kinds = [found.kind for found in jc.check(network, case.recordings).findings]
+    assert kinds == ["sign"]
 
 
 def test_gravity_that_was_taken_out(network: jc.CSLC, run: Run) -> None:
