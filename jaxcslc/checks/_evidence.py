@@ -71,7 +71,7 @@ class PriorFit:
 
     @property
     def common_size(self) -> float:
-        """Median size of these factors, whatever their signs; NaN without any.
+        """`common_factor` of absolute values; NaN without any.
 
         >>> well = np.ones(2)
         >>> PriorFit(np.array([0.7, -0.9]), well, well).common_size

@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser,
         lambda: _study(rows, jobs, missing, folder, options.jobs),
         rows.path,
-        seconds=6.0 * len(missing) / max(min(options.jobs, 2), 1) + 5.0,
+        seconds=4.0 * len(missing) / max(min(options.jobs, 2), 1) + 5.0,
     )
 
 
