@@ -86,10 +86,9 @@ def page_table(means: list[list[str]]) -> list[list[str]]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = by_arm.new_parser(__doc__, "spacings")
-    parser.set_defaults(arms=[*READERS, LWR4])
     command.add_store(parser)
     options = command.parse(parser, argv, arms=["KUKA KR300"])
-    command.require_some_of(parser, "arm", options.arms, (*READERS, LWR4))
+    command.require_some_of(parser, "arm", options.arms, tuple(READERS))
 
     def study() -> int:
         means: list[list[str]] = []
