@@ -90,9 +90,22 @@ def misfit_of(
             scores[-1].append(float(np.mean(score)))
     if not scores:
         return Misfit()
-    means = np.mean(scores, axis=0)
-    best = int(np.argmin(means))
-    return choices[best] if means[best] < means[0] - _GAIN else Misfit()
+    return choices[_chosen(np.mean(scores, axis=0))]
+
+
+def _chosen(means: Float[np.ndarray, " choices"]) -> int:
+    """Return the index of a misfit by mean scores of all: first those of data, from none on.
+
+    A wide prior lets in whatever all parts of the motion share, as the torque of a stop: each
+    wider one has to gain over the one before.
+    """
+    best = int(np.argmin(means[: len(_OF_DATA)]))
+    if means[best] >= means[0] - _GAIN:
+        best = 0
+    for wider in range(len(_OF_DATA), len(means)):
+        if means[wider] < means[best] - _GAIN:
+            best = wider
+    return best
 
 
 class _Split(NamedTuple):

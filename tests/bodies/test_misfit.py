@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import jaxcslc as jc
 from jaxcslc.bodies import FilePrior, Misfit, misfit_of
-from jaxcslc.bodies._misfit import _splits
+from jaxcslc.bodies._misfit import _OF_DATA, _chosen, _splits
 from scripts.studies.file_prior.study import NOISE, ROBOTS, model_of, moved, torque_of
 
 
@@ -95,3 +95,19 @@ class TestFaults:
         found = misfit(network, recorded("slow"), file.scaled(0.1))
         assert found.prior > 1.0
         assert found.data == 1.0
+
+
+@pytest.mark.parametrize(
+    ("of_data", "of_prior", "expected"),
+    [
+        ((2.0, 1.95), (2.0, 2.0), 0),  # a gain of less than a tenth
+        ((2.0, 1.5), (1.45, 1.45), 1),
+        ((2.0, 1.95), (1.8, 1.75), len(_OF_DATA)),  # the wider prior gains nothing more
+        ((2.0, 1.95), (1.8, 1.6), len(_OF_DATA) + 1),
+    ],
+)
+def test_every_step_has_to_gain(
+    of_data: tuple[float, ...], of_prior: tuple[float, ...], expected: int
+) -> None:
+    rest = (9.0,) * (len(_OF_DATA) - len(of_data))
+    assert _chosen(np.array([*of_data, *rest, *of_prior])) == expected
