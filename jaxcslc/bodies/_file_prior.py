@@ -54,7 +54,7 @@ _WIDEST_SPREAD = 0.3
 _FAR = 2.0
 # One recording in so many of an arm whose file is as wrong as files usually are may say that a link
 # contradicts the data.
-_CHANCE = 0.01
+_CHANCE = 0.05
 _ROUNDS = 10
 # Links that data determine fewer combinations of contradict nothing.
 _FEWEST = 0.5
@@ -348,7 +348,7 @@ class FilePrior:
         return Deviations(sizes, limits)
 
     def mass_factors(self, fit: Identification) -> "Deviations":
-        """Return factors of each link's mass, and of all, less 1, that the data ask for.
+        """Return logarithms of the factors of each link's mass, and of all, that the data ask for.
 
         They are 0 where data are silent.
 
@@ -368,7 +368,8 @@ class FilePrior:
             along = np.einsum("lpc,lc->p", roots, direction) / np.sqrt(length)
             share = float(along @ told @ along)
             if share > _HALF:
-                factors[i] = float(along @ precise) / np.sqrt(length) / share
+                factor = 1.0 + float(along @ precise) / np.sqrt(length) / share
+                factors[i] = np.log(max(factor, 1.0 / _WIDEST))
                 limits[i] = quantile / np.sqrt(length * share)
         return Deviations(factors, limits)
 
@@ -379,12 +380,12 @@ class FilePrior:
         - `fit`: without the prior.
         """
         masses = self.mass_factors(fit)
-        other = (masses.sizes > _OTHER_MASS - 1.0) | (masses.sizes < 1.0 / _OTHER_MASS - 1.0)
+        other = np.abs(masses.sizes) > np.log(_OTHER_MASS)
         certain = other & masses.beyond_chance
         named = certain[:-1] | bool(certain[-1])
         wider = np.where(
             other[:-1] | bool(other[-1]),
-            np.maximum(np.abs(masses.sizes[:-1]), _INVENTED * WIDTH),
+            np.maximum(np.abs(np.expm1(masses.sizes[:-1])), _INVENTED * WIDTH),
             0.0,
         )
         prior = dataclasses.replace(self, widths=np.maximum(self.widths, wider))
