@@ -195,6 +195,10 @@ def _with_fewest_coefficients(network: CSLC) -> CSLC:
     return CSLC(algebra=numeric.algebra, terms=terms)
 
 
+# What a position that was not recorded looks like.
+_WITHOUT_POSITIONS = ("wrong robot", "zero position", "length", "axis")
+
+
 def _check_one(
     network: CSLC, recording: Recording, name: str
 ) -> "tuple[list[Finding], RecordingSummary, Evidence | None]":
@@ -260,14 +264,14 @@ def _check_one(
         findings = [
             x for x in findings if x.kind != "clipping" or x.joint not in explained - clipped
         ]
-        # No robot explains a torque that was not recorded.
-        unrecorded = {one.joint for one in findings if one.kind == "constant torque"}
-        found = [one for one in found if one.kind != "wrong robot" or one.joint not in unrecorded]
+        # Next to a torque that was not recorded, those of the other joints have no scale.
+        if any(one.kind == "constant torque" for one in findings):
+            found = [one for one in found if one.kind == "tame motion"]
         # Nor a position that was not.
         still = ", ".join(one.joint for one in findings if one.kind == "motionless joint")
         stuck = f"the position of {still} was not recorded: it does not change"
         findings += [
-            one.or_else(stuck) if still and one.kind == "wrong robot" else one for one in found
+            one.or_else(stuck) if still and one.kind in _WITHOUT_POSITIONS else one for one in found
         ]
     return findings, RecordingSummary.of(network, recording, name, excitation), evidence
 

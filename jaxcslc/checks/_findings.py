@@ -78,7 +78,7 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         ),
         "gap: long": (
             "the recorder stopped or rows were deleted",
-            "--between {start:.12g},{end:.12g} takes the longer part alone",
+            "--between {start:.12g},{end:.12g} takes the longest part without such a gap",
         ),
         "gap: rows": (
             "rows were lost",
@@ -234,7 +234,7 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         "mounting": (
             "the base is mounted in another way than in the robot's file",
             "set gravity to {gravity} m/s² in the robot's base frame (gravity in a TOML file,"
-            " with_gravity in Python; in a URDF, turn the first fixed joint)",
+            " with_gravity in Python; in a URDF, turn the origin of the first joint)",
         ),
         "length": (
             "a length of the robot's file is not the arm's: {what} than in the file",
@@ -251,7 +251,7 @@ _CAUSES: Mapping[str, tuple[str, str]] = MappingProxyType(
         ),
         "clock": (
             "the times are not those of the motion: the recorder counts with another period",
-            "divide the times by {factor}, or --period with the true one",
+            "divide the times by {factor}",
         ),
         "drift": (
             "friction changes as the gears warm up, or the zero of the torque sensor drifts",

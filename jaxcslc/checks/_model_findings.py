@@ -242,7 +242,7 @@ def significant_cause(evidence: Evidence, *, lengths: bool = True) -> list[Findi
         mended = Change(motion_offsets=offsets).recording(recording)
         revolute = evidence.network.joint_kinds[which] == "R"
         shown = f"{np.degrees(-size):.3g}°" if revolute else f"{-size:.3g} m"
-        text = f"positions fit the torque best less {shown}; {certain}"
+        text = f"the torque fits best if {shown} is subtracted from positions; {certain}"
         result = finding("zero position", text, name, joint=name, offset=shown)
     elif kind == "length":
         network, what = _network_with_length(evidence.network, which, size)
@@ -253,7 +253,7 @@ def significant_cause(evidence: Evidence, *, lengths: bool = True) -> list[Findi
             return []
         factors[which] = 1.0 + size
         mended = Change(torque_factors=1.0 / factors).recording(recording)
-        text = f"torque is {1.0 + size:.3g} times what goes with the torques of the others"
+        text = f"torque is {_times(1.0 + size)} times what goes with the torques of the others"
         listed = f"{name} {1.0 + size:.3g}"
         result = finding("torque scale: of some joints", f"{text}; {certain}", name, listed=listed)
     rest, error = estimated(Evidence.of(network, mended, evidence.valid))
@@ -347,10 +347,19 @@ def _torque_scale(trial: _Trial) -> Iterator[Cause]:
         trial.first.scaled(1.0 / factors).score(),
         f"torques are too large for the motion of the other joints by factors of {listed}"
         if len(names) > 1
-        else f"torque is {factors[off[0]]:.3g} times what goes with the torques of the others",
+        else f"torque is {_times(factors[off[0]])} times what goes with the torques of the others",
         partial(Change(torque_factors=1.0 / factors).mended, trial.evidence),
         listed=listed,
     )
+
+
+def _times(factor: float) -> str:
+    """Return a factor in three digits, and as an integer where it has more.
+
+    >>> _times(1.4978), _times(1034.6)
+    ('1.5', '1035')
+    """
+    return f"{factor:.3g}" if factor < 999.5 else f"{factor:.0f}"
 
 
 def _zero_position(trial: _Trial) -> Iterator[Cause]:
@@ -372,7 +381,7 @@ def _zero_position(trial: _Trial) -> Iterator[Cause]:
         "zero position",
         trial.name,
         trial.rescored(change.patterns(trial.evidence.patterns)),
-        f"positions fit the torque best less {shown}",
+        f"the torque fits best if {shown} is subtracted from positions",
         partial(change.mended, trial.evidence),
         joint=trial.name,
         offset=shown,

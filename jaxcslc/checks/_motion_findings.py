@@ -92,6 +92,7 @@ def motion_findings(evidence: Evidence) -> tuple[list[Finding], Evidence, str]:
     about its excitation.
     """
     findings: list[Finding] = []
+    recorded = evidence
     for _ in range(_ROUNDS):
         cause = _likeliest(evidence)
         if cause is None:
@@ -115,7 +116,7 @@ def motion_findings(evidence: Evidence) -> tuple[list[Finding], Evidence, str]:
         findings += _beyond_limits(evidence)
     if not findings:
         findings += _computed_torque(evidence)
-    findings += _beyond_effort(evidence)
+    findings += _beyond_effort(evidence if wrong is None else recorded)
     return findings + tame, evidence, excitation
 
 

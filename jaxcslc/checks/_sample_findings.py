@@ -74,16 +74,16 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
         yield finding("rate: changes", rates)
         return
     gaps = np.flatnonzero(intervals > _GAP * interval)
+    starts, ends = moments[[0, *(gaps + 1)]], moments[[*gaps, -1]]
+    longest = int(np.argmax(ends - starts))
     for gap in gaps[np.argsort(-intervals[gaps])][:3]:
-        sides = (0.0, moments[gap]), (moments[gap + 1], moments[-1])
-        start, end = max(sides, key=lambda side: side[1] - side[0])
         yield finding(
             "gap: long",
             f"no samples from {moments[gap]:.12g} s to {moments[gap + 1]:.12g} s, where they are"
             f" {1e3 * interval:.4g} ms apart otherwise; filters need even times and are not used,"
             " and smoothing runs across the gap",
-            start=start,
-            end=end,
+            start=starts[longest],
+            end=ends[longest],
         )
     regular = intervals[intervals < _LOST * interval]
     spread = float(np.std(regular) / interval)

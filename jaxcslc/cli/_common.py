@@ -19,7 +19,7 @@ from .._scratch import check_output_folder, check_replaceable
 from .._text_table import printable
 from ._help import ALL, help_text, page_address
 from ._options import Parameter, UsageError, Values, assign, option, parameters_of, parse
-from ._project import FILE, Project
+from ._project import FILE, Project, remedies_in_project
 
 
 # The page that explains errors of a package, or of one of its modules.
@@ -316,6 +316,8 @@ class Command:
                 return 0
             context = self.context(words)
             output = self.function(context, **self._arguments(context.values))
+            if str(context.values.get("columns")) == f"{FILE}#columns":
+                output = dataclasses.replace(output, text=remedies_in_project(output.text))
             if context.project and not (context.output.json or context.output.quiet):
                 show(f"With {FILE}, this is: {context.text()}\n")
             output.print(context.output)

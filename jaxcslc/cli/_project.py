@@ -5,6 +5,7 @@ Every command about a robot reads it from the current folder. Options on the com
 
 import dataclasses
 import functools
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,6 +19,7 @@ from ._options import Parameter, UsageError, Values
 FILE = "jaxcslc.toml"
 _ROBOT_FILES = (".toml", ".urdf", ".xml", ".mjcf")
 _TABLES = ("columns", "limits", "prior")  # tables of the file, or names of other files
+_QUANTITIES = ("time", "position", "velocity", "acceleration", "torque", "command", "current")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +39,10 @@ class Project:
         document = toml_document(FILE, "project file", ValueError)
         known = project_parameters()
         if unknown := sorted(document.keys() - known.keys()):
-            raise ValueError(f"{FILE}: unknown entry {unknown[0]!r}; expected {', '.join(known)}")
+            table = f"[columns.{unknown[0]}]"
+            meant = f"did you mean {table}? " if unknown[0] in _QUANTITIES else ""
+            expected = ", ".join(known)
+            raise ValueError(f"{FILE}: unknown entry {unknown[0]!r}; {meant}expected {expected}")
         return cls({name: _value(known[name], value) for name, value in document.items()})
 
     def applied(self, words: Sequence[str]) -> tuple[Values, list[str]]:
@@ -61,6 +66,24 @@ class Project:
                 f" robot = ... in {FILE}"
             )
         return others, [*([] if robot is None else [robot]), *words]
+
+
+def remedies_in_project(text: str) -> str:
+    """Return the text of a check whose remedies change the project file's columns.
+
+    >>> remedies_in_project('Remedy: [torque] unit = "mN m" in a mapping file (--columns)')
+    'Remedy: [columns.torque] unit = "mN m" in jaxcslc.toml'
+    """
+    tables = rf"\[({'|'.join(_QUANTITIES)})\] "
+    return re.sub(
+        r"Remedy: [^\n]*? in a mapping file \(--columns\)",
+        lambda remedy: (
+            re.sub(tables, r"[columns.\1] ", remedy[0])
+            .replace("Remedy: joints = ", "Remedy: [columns] joints = ")
+            .replace("a mapping file (--columns)", FILE)
+        ),
+        text,
+    )
 
 
 @functools.cache

@@ -92,7 +92,11 @@ def first_fault(
         return before[name]
 
     if all(columns[name][row] == previous(name) for name in columns):
-        return Fault(row, None, "repeats the row before it; expected a new sample in every row")
+        return Fault(
+            row,
+            None,
+            "repeats the row before it; expected a new sample in every row: delete repeated rows",
+        )
     return Fault(
         row,
         "time",

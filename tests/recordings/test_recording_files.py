@@ -201,7 +201,9 @@ def test_wrong_columns(tmp_path: Path, header: str, expected: str, suffix: str) 
     [
         pytest.param("fast", "'fast'; expected a number", id="word"),
         pytest.param('"0,5"', "'0,5'; expected a number with a decimal point", id="comma"),
-        pytest.param("", "an empty cell; expected a number, or no such row", id="empty"),
+        pytest.param(
+            "", "an empty cell; expected a number; delete the row, or fill the cell", id="empty"
+        ),
         pytest.param("NULL", "'NULL'; expected a number", id="null"),
         pytest.param("1_000", "'1_000'; expected a number", id="underscore"),
         pytest.param("0x10", "'0x10'; expected a number", id="hexadecimal"),
@@ -228,7 +230,7 @@ def test_wrong_cells(tmp_path: Path, cell: str, expected: str, column: int) -> N
 )
 def test_rows_of_a_wrong_length(tmp_path: Path, row: str, cells: int) -> None:
     path = written(tmp_path, *ROWS[:4], row, *ROWS[5:])
-    assert message(path) == f"row 5 (line 6): {cells} cells; expected 5, one a column"
+    assert message(path) == f"row 5 (line 6): {cells} cells; expected 5, one per column"
 
 
 def test_time_that_does_not_increase(tmp_path: Path) -> None:
@@ -238,7 +240,8 @@ def test_time_that_does_not_increase(tmp_path: Path) -> None:
     )
     repeated = written(tmp_path, *ROWS[:4], ROWS[3], *ROWS[4:])
     assert message(repeated) == (
-        "row 5 (line 6): repeats the row before it; expected a new sample in every row"
+        "row 5 (line 6): repeats the row before it; expected a new sample in every row:"
+        " delete repeated rows"
     )
 
 
@@ -307,8 +310,8 @@ def test_parquet_columns_of_text_and_missing_values(tmp_path: Path) -> None:
     assert message(path) == "column position_1 holds string; expected numbers"
     holes = pa.array([0.0, 1.0, None, 3.0, 4.0, 5.0])
     pq.write_table(pa.Table.from_arrays([numbers, numbers, holes], names=names), path)
-    assert (
-        message(path) == "row 3, column torque_1: an empty cell; expected a number, or no such row"
+    assert message(path) == (
+        "row 3, column torque_1: an empty cell; expected a number; delete the row, or fill the cell"
     )
     nans = pa.array([0.0, 1.0, 2.0, np.nan, 4.0, 5.0])
     pq.write_table(pa.Table.from_arrays([numbers, numbers, nans], names=names), path)

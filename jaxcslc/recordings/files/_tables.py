@@ -431,7 +431,7 @@ def _check_cells(path: Path, row: int, batch: pa.RecordBatch, columns: Sequence[
         if nulls.any():
             raise RecordingError(
                 f"{path}: row {row + int(np.argmax(nulls)) + 1}, column {name}: "
-                f"{_EMPTY}; expected a number, or no such row"
+                f"{_EMPTY}; expected a number; delete the row, or fill the cell"
             )
 
 
@@ -566,7 +566,7 @@ def _faulty_cell(path: Path, header: _CsvHeader, names: Sequence[str]) -> Record
             where = f"{path}: row {number} (line {line})"
             if len(cells) != len(header.names):
                 return RecordingError(
-                    f"{where}: {len(cells)} cells; expected {len(header.names)}, one a column"
+                    f"{where}: {len(cells)} cells; expected {len(header.names)}, one per column"
                 )
             for name, cell in zip(header.names, cells, strict=True):
                 if name in names and not _is_number(cell):
@@ -574,7 +574,7 @@ def _faulty_cell(path: Path, header: _CsvHeader, names: Sequence[str]) -> Record
                     shown, expected = (
                         (repr(cell), f"a number{point}")
                         if cell.strip()
-                        else (_EMPTY, "a number, or no such row")
+                        else (_EMPTY, "a number; delete the row, or fill the cell")
                     )
                     return RecordingError(f"{where}, column {name}: {shown}; expected {expected}")
     except (UnicodeDecodeError, csv.Error) as error:
