@@ -253,7 +253,7 @@ def significant_cause(evidence: Evidence, *, lengths: bool = True) -> list[Findi
             return []
         factors[which] = 1.0 + size
         mended = Change(torque_factors=1.0 / factors).recording(recording)
-        text = f"torque is {_times(1.0 + size)} times what goes with the torques of the others"
+        text = f"torque is {_times(1.0 + size)} times what goes with those of the others"
         listed = f"{name} {1.0 + size:.3g}"
         result = finding("torque scale: of some joints", f"{text}; {certain}", name, listed=listed)
     rest, error = estimated(Evidence.of(network, mended, evidence.valid))
@@ -347,7 +347,7 @@ def _torque_scale(trial: _Trial) -> Iterator[Cause]:
         trial.first.scaled(1.0 / factors).score(),
         f"torques are too large for the motion of the other joints by factors of {listed}"
         if len(names) > 1
-        else f"torque is {_times(factors[off[0]])} times what goes with the torques of the others",
+        else f"torque is {_times(float(factors[off[0]]))} times what goes with those of the others",
         partial(Change(torque_factors=1.0 / factors).mended, trial.evidence),
         listed=listed,
     )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags import rosbag2
 from rosbags.typesys import Stores, get_typestore
 
 from jaxcslc.recordings import ColumnMapping
@@ -20,7 +20,7 @@ def write_logs() -> None:
     ros = get_typestore(Stores.ROS2_HUMBLE)
     kinds = ("sensor_msgs/msg/JointState", "std_msgs/msg/Header", "builtin_interfaces/msg/Time")
     joint_state, header, stamp = (ros.types[name] for name in kinds)
-    with Writer("motion", version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+    with rosbag2.Writer("motion", version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as bag:
         topic = bag.add_connection("/joint_states", joint_state.__msgtype__, typestore=ros)
         for i in range(6):
             message = joint_state(
