@@ -228,8 +228,8 @@ def check_request(request: Request) -> None:
             for what in ("position", "torque")
         ):
             raise ValueError(
-                f"validation: the same samples as the training recording{f' {name}' * bool(name)};"
-                " expected another recording, or none"
+                f"validation: the same samples as {name}, which is fitted; expected another"
+                " recording, or none"
             )
     if request.prior is not None:
         request.prior.coefficient_values(request.network)

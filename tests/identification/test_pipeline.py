@@ -104,7 +104,7 @@ def test_direct_dynamics_is_an_estimator() -> None:
     report = jc.identify(
         network,
         recording,
-        recording,
+        recording.rows(slice(800)),
         jc.Settings(),
         estimator=SimulatedMotion(jc.DirectDynamics(motion)),
         checks=False,
