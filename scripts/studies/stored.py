@@ -93,6 +93,23 @@ def _json(value: object) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
+def measured_by(words: Sequence[str]) -> list[str]:
+    """Return the words of a command line that figures depend on.
+
+    Folders, the number of processes and `--store` are not among them.
+
+    >>> measured_by(["-o", "build/x", "--arms", "ur5", "--jobs", "2", "--store"])
+    ['--arms', 'ur5']
+    """
+    left: list[str] = []
+    after = False
+    for word in words:
+        dropped = after or word == "--store"
+        after = word in ("-o", "--output", "--data", "--jobs")
+        left += [] if dropped or after else [word]
+    return left
+
+
 def store(
     options: argparse.Namespace,
     run: str,
@@ -112,8 +129,15 @@ def store(
         return
     spec = sys.modules["__main__"].__spec__
     module = spec.name if spec else Path(sys.argv[0]).stem
-    words = ["python", "-m", module, *(word for word in sys.argv[1:] if word != "--store")]
-    save(run, Results(shlex.join(words), datetime.date.today().isoformat(), sample, tables))
+    save(
+        run,
+        Results(
+            shlex.join(["python", "-m", module, *measured_by(sys.argv[1:])]),
+            datetime.date.today().isoformat(),
+            sample,
+            tables,
+        ),
+    )
     print(f"stored in docs/results/{run}.json; python -m scripts.tools.evidence fills the pages")
 
 

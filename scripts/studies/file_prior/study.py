@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxcslc as jc
-from jaxcslc._text_table import text_table
+from jaxcslc._text_table import counted, text_table
 from jaxcslc.bodies import bodies_of, body_map
 from jaxcslc.manipulator import LinkParameters
 from scripts.studies import command
@@ -108,7 +108,7 @@ def _study(rows: Rows, jobs: list[Any], missing: list[Any], options: Any) -> int
     options.output.mkdir(parents=True, exist_ok=True)
     (options.output / "tables.txt").write_text(text + "\n", encoding="utf-8")
     finished = [row for row in (rows[job] for job in jobs) if "failed" not in row]
-    sample = f"{len(options.arms)} arms, {options.seeds} seeds of each"
+    sample = f"{counted(len(options.arms), 'arm')}, {counted(options.seeds, 'seed')} of each"
     if not options.offset:
         tables = {"files": _files(finished), "links": _links(finished)}
         store(options, "file_prior", sample, tables)
