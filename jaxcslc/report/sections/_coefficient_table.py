@@ -178,7 +178,7 @@ def _scale_statement(systematic: SystematicError | None) -> str:
 
     >>> within = {"torque scale": "± 6 %", "torque scale shown": "± 40 %"}
     >>> _scale_statement(SystematicError({}, within)).partition(". ")[2]
-    "The masses in the robot's file exclude only scale errors above 40 %."
+    "By the masses in the robot's file, only scale errors above 40 % can be excluded."
     """
     shown = None if systematic is None else systematic.within.get(SHOWN_SCALE)
     if systematic is None or shown is None:
@@ -186,7 +186,8 @@ def _scale_statement(systematic: SystematicError | None) -> str:
     return f" Intervals include a torque scale error of {systematic.within[TORQUE_SCALE]}. " + (
         "Nothing excludes a larger one."
         if shown == "nothing"
-        else f"The masses in the robot's file exclude only scale errors above {shown[2:]}."
+        else "By the masses in the robot's file, only scale errors above"
+        f" {shown[2:]} can be excluded."
     )
 
 
