@@ -52,8 +52,8 @@ _OTHER_MASS, _HALF = 1.65, 0.5
 _WIDEST_SPREAD = 0.3
 # A link is wider where data move it this many times further than its width explains.
 _FAR = 2.0
-# One recording in so many of an arm whose file is as wrong as files usually are may say that a link
-# contradicts the data.
+# Part of the recordings, of arms whose files are as wrong as files usually are, that may say that a
+# link contradicts the data.
 _CHANCE = 0.05
 _ROUNDS = 10
 # Links that data determine fewer combinations of contradict nothing.

@@ -642,7 +642,7 @@ def _contact(evidence: Evidence, first: FirstOrder, before: Score) -> Iterator[C
 def block_ratios(evidence: Evidence, first: FirstOrder) -> Float[np.ndarray, "blocks joints"]:
     """Return the errors of blocks over the usual ones; 0 where they do not matter.
 
-    Least trimmed squares: each time, the blocks with the largest errors are left out of the fit.
+    Least trimmed squares: each time, the fit omits the blocks with the largest errors.
     """
     left = np.zeros(BLOCKS, bool)
     ratio = np.zeros(first.counts.shape)

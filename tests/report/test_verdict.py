@@ -58,7 +58,7 @@ def test_a_wrong_recording_is_not_to_be_relied_on(network: jc.CSLC) -> None:
     ],
 )
 def test_what_the_file_knows_is_not_in_doubt(others: dict[str, int], tone: str) -> None:
-    """Of coefficients, four of which are well determined."""
+    """The verdict of coefficients, four of which are well determined."""
     kinds = {"well determined": 4, **others}
     rows = [{"verdict": kind, "positive": False} for kind, n in kinds.items() for _ in range(n)]
     report: Any = SimpleNamespace(rows=lambda: rows, systematic=None)

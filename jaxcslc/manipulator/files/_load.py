@@ -255,7 +255,7 @@ def _gravity(tree: BodyTree, start: int) -> tuple[float, float, float]:
 
 
 UNUSED_LINKS = "no link parameters are taken from this file"
-"""How a note on bodies that cannot exist ends."""
+"""The end of a note on bodies that cannot exist."""
 
 
 def _faults(path: Path, bodies: Sequence[Body]) -> Iterator[str]:

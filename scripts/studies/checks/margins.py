@@ -62,7 +62,7 @@ STATISTICS: dict[str, tuple[Statistic, float]] = {
     "error of a stretch, times the usual": (_touched, model.TOUCHED),
     "spread of the file's factors, logarithm": (_spread, model.SPREAD),
 }
-"""What is measured, and the bound."""
+"""A statistic of right recordings, and its bound."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -394,8 +394,8 @@ def _total(row: dict[str, Any], name: str) -> float:
 
 
 def _known(rows: list[dict[str, Any]]) -> Float[np.ndarray, "3 coefficients"]:
-    """Of rich motions' coefficients of which the file is less than a tenth: changes by the file
-    in standard errors, and whether they are inside intervals, and inside those of standard errors.
+    """Return the changes by the file [standard errors] of what rich motions determine by nine
+    tenths, and whether it is inside of printed intervals, and of those of standard errors.
     """
     names = ("change", "inside", "inside_noise")
     told = [

@@ -1,4 +1,4 @@
-"""How far is a simulated SO-101 from a real one, on motions that were not fitted?
+"""Errors of a simulated SO-101 against a real one, on motions that were not fitted.
 
 Of the public SAGE recordings (isaac-sim2real/sage, `output/real/so101/custom`), four motions are
 fitted and twelve others simulated open loop. Errors are root mean squares of simulated minus
